@@ -102,16 +102,17 @@ def drive_incremental_kernel(
     N, n, k = len(inputs["mu"]), len(inputs["tau_u"]), len(inputs["J"])
     columns = np.array([4 * i + c for i, m in enumerate(inputs["components"]) for c in COLUMNS[int(m)]], dtype=np.intp)
     constants = ("lower", "upper", "weight")
-    problem = [*(inputs[name] for name in (*CHANGEABLE, *constants)), None, None, float(rng.choice([0, 1.0]))]
+    problem = [*(inputs[name] for name in (*CHANGEABLE, *constants)), None, None, float(rng.choice([0, 1.0])), 0.1]
+    level = int(rng.integers(3))
 
     def maybe_problem() -> list[Any]:
         return [maybe_invalid(rng, array, rate / 5) for array in problem]
 
     try:
-        kernel = module.IncrementalKernel(30, maybe_invalid(rng, columns, rate / 5), None, *maybe_problem())
+        kernel = module.IncrementalKernel(30, maybe_invalid(rng, columns, rate / 5), None, level, *maybe_problem())
     except (*ARGUMENT_ERRORS, OverflowError):
         counts[RAISED] += 1
-        kernel = module.IncrementalKernel(30, columns, None, *problem)
+        kernel = module.IncrementalKernel(30, columns, None, level, *problem)
     for _ in range(4):
         new = random_changes(rng, N, k, n)
         new["J"] *= inputs["J"] != 0 if rng.random() < 0.7 else 1.0

@@ -24,10 +24,10 @@ NO_CHANGE: list[None] = []  # arrays that are omitted stay
 def test_result_of_a_step_has_named_fields():
     """The layout names the parts of `numbers`, one after the other without gaps."""
     problem = feasible_problem(np.random.default_rng(64))
-    kernel = compiled_kernel.IncrementalKernel(48, problem.contacts.columns, None, *compiled_kernel.kernel_inputs(problem))
+    kernel = compiled_kernel.IncrementalKernel(48, problem.contacts.columns, None, 0, *compiled_kernel.kernel_inputs(problem))
     result = kernel.step(1e-9, 60, False, *NO_CHANGE)
     k, N, n = problem.size, len(problem.contacts), problem.actuation.J.shape[1]
-    sizes = {"f": k, "y": 6, "z": k, "nu_lower": N, "nu_upper": N, "lambda_lower": n, "lambda_upper": n, "tau": n}
+    sizes = {"f": k, "y": 6, "z": k, "nu_lower": N, "nu_upper": N, "lambda_lower": n, "lambda_upper": n, "level": N, "tau": n}
     ends = np.cumsum(list(sizes.values())).tolist()
     layout = kernel.solution_layout()
     assert layout == dict(zip(sizes, zip([0, *ends[:-1]], ends, strict=True), strict=True))
@@ -71,7 +71,7 @@ def test_invalid_problem_leaves_the_kernel_without_a_problem():
     """After a rejected problem, a step raises until a valid problem is loaded."""
     problem = feasible_problem(np.random.default_rng(62))
     inputs, columns = compiled_kernel.kernel_inputs(problem), problem.contacts.columns
-    kernel = compiled_kernel.IncrementalKernel(48, columns, None, *inputs)
+    kernel = compiled_kernel.IncrementalKernel(48, columns, None, 0, *inputs)
     expected = kernel.step(1e-9, 60, False, *NO_CHANGE)
     bad = {"w must hold 6": {0: np.zeros(5)}, "J must hold": {1: np.zeros((2, 2))}, "p must hold": {3: np.zeros((1, 3))}}
     bad |= {"finite G": {3: 1.5e308 * np.sign(inputs[3])}, "mu must hold": {5: inputs[5].astype(np.float32)}}
@@ -84,18 +84,18 @@ def test_invalid_problem_leaves_the_kernel_without_a_problem():
         assert kernel.load(*inputs)
         assert kernel.step(1e-9, 60, False, *NO_CHANGE) == expected
         with pytest.raises(ValueError, match="must"):
-            compiled_kernel.IncrementalKernel(48, columns, None, *wrong)
+            compiled_kernel.IncrementalKernel(48, columns, None, 0, *wrong)
 
 
 def test_kernel_rejects_invalid_arguments():
     problem = feasible_problem(np.random.default_rng(62))
     inputs, columns = compiled_kernel.kernel_inputs(problem), problem.contacts.columns
-    kernel = compiled_kernel.IncrementalKernel(48, columns, None, *inputs)
+    kernel = compiled_kernel.IncrementalKernel(48, columns, None, 0, *inputs)
     for wrong in (columns[1:], columns + 1, columns.astype(np.int32), columns[:0], None, columns[::-1].copy()):
         with pytest.raises(ValueError, match=r"columns|fingers"):
-            compiled_kernel.IncrementalKernel(48, wrong, None, *inputs)
+            compiled_kernel.IncrementalKernel(48, wrong, None, 0, *inputs)
     with pytest.raises(OverflowError, match="at most 2 force components that share joints"):
-        compiled_kernel.IncrementalKernel(2, columns, None, *inputs)
+        compiled_kernel.IncrementalKernel(2, columns, None, 0, *inputs)
     for call in (kernel.load, kernel.step, compiled_kernel.IncrementalKernel, compiled_kernel.make_record):
         with pytest.raises(TypeError, match="takes"):
             call(1, 2)

@@ -23,13 +23,12 @@ from graspforce import (
     available_backends,
     solve,
 )
-from graspforce.core.errors import BackendError
 from graspforce.force.backends import compiled_kernel, registry, structured
 from graspforce.force.backends.protocol import SolverSettings
 from graspforce.force.certificate import certify, certify_infeasibility
 from graspforce.force.scale import scale
 
-KERNEL = structured.KernelBackend()
+KERNEL, SETTINGS = structured.KernelBackend(), SolverSettings()
 
 
 def test_kernel_is_built_if_there_is_a_compiler():
@@ -81,18 +80,48 @@ def test_certificate_in_c_equals_the_certificate_in_python(seed):
             assert seen == pytest.approx(residuals, rel=1e-9, abs=1e-12)
 
 
-def test_unsupported_objectives_are_solved_by_clarabel():
-    problem = feasible_problem(0)
-    for objective in ("max_normal", "margin"):
-        other = ForceProblem(
-            problem.contacts,
-            problem.w,
-            problem.actuation,
-            objective=Objective("max_normal" if objective == "margin" else objective),
-        )
-        with pytest.raises(BackendError, match="structured supports the objectives torque, force, sum_normal, not max_normal"):
-            solve(other, "structured")
-        assert solve(other).backend == "clarabel"
+@pytest.mark.parametrize("kind", ["max_normal", "margin"])
+@pytest.mark.parametrize("seed", range(12))
+def test_kernel_solves_objectives_with_a_shared_level(kind, seed):
+    """Point and soft contacts, exact cones and pyramids, with and without motors; Clarabel is the reference."""
+    rng = np.random.default_rng([71, seed])
+    problem = feasible_problem(seed, count=3 + seed % 6, models=("frictionless", "point", "soft"))
+    cone = Cone("pyramid", 6, str(rng.choice(["inner", "outer"]))) if seed % 3 == 0 else Cone()
+    actuation = None if seed % 4 == 3 and kind == "max_normal" else problem.actuation
+    problem = ForceProblem(problem.contacts, problem.w, actuation, cone, Objective(kind))
+    answer, other = KERNEL.solve(problem, SolverSettings()), solve(problem, "clarabel")
+    assert answer.status is Status.OPTIMAL
+    assert answer.multipliers is not None
+    assert certify(problem, answer.f, answer.multipliers).is_tight
+    assert problem.cost(answer.f) == pytest.approx(other.objective, rel=2e-8, abs=2e-8 * scale(problem).cost)
+    assert solve(problem).backend == "structured"
+    overload = problem.replace(w=1e3 * problem.w)
+    assert solve(overload, explain=False).status is solve(overload, "clarabel", explain=False).status
+
+
+def test_negative_margin_proves_infeasibility():
+    """Loads just beyond the largest one: no forces keep the margin 0, and the multipliers of the largest margin prove it."""
+    proven = 0
+    for seed in range(6):
+        problem = dataclasses.replace(feasible_problem(seed), objective=Objective("margin"))
+        low, high = 1.0, 1e3  # a feasible and an infeasible load
+        while high / low > 1.0 + 1e-4:
+            load = (low * high) ** 0.5
+            low, high = (load, high) if KERNEL.solve(problem.replace(w=load * problem.w), SETTINGS).found else (low, load)
+        beyond = KERNEL.solve(problem.replace(w=1.0001 * high * problem.w), SETTINGS)
+        assert beyond.status is Status.INFEASIBLE
+        assert beyond.multipliers is not None
+        proven += certify_infeasibility(beyond.original_problem, beyond.multipliers).certificate.verified
+    assert proven == 6
+
+
+@pytest.mark.parametrize("objective", [Objective("force", moment_length=0.02), Objective("torque", 1e-3, 0.05)])
+def test_kernel_weighs_moments_by_their_length(objective):
+    problem = dataclasses.replace(feasible_problem(5, models=("soft",)), objective=objective)
+    answer = solve(problem)
+    assert answer.backend == "structured"
+    assert answer.certificate.is_tight
+    assert answer.objective == pytest.approx(solve(problem, "clarabel").objective, rel=2e-8)
 
 
 def wrist(count: int) -> ForceProblem:
@@ -105,14 +134,11 @@ def wrist(count: int) -> ForceProblem:
     return ForceProblem(problem.contacts, problem.w, Actuation(J, lower=-room, upper=room))
 
 
-def test_shared_joints_make_one_block_of_their_fingers():
-    small, large = wrist(4), wrist(20)
-    answer = solve(small)
+@pytest.mark.parametrize("count", [4, 20])
+def test_shared_joints_make_one_block_of_their_fingers(count):
+    answer = solve(wrist(count))
     assert answer.backend == "structured"
-    assert answer.objective == pytest.approx(solve(small, "clarabel").objective, rel=2e-8)
-    with pytest.raises(BackendError, match="at most 48 force components that share joints, not 60"):
-        solve(large, "structured")
-    assert solve(large).backend == "clarabel"
+    assert answer.objective == pytest.approx(solve(wrist(count), "clarabel").objective, rel=2e-8)
 
 
 def test_changed_values_start_warm_and_agree_with_new_solutions():

@@ -159,6 +159,19 @@ static double unit_force_torques(const gf_structure *s, const gf_problem *proble
     return largest;
 }
 
+/* Write ρ_c f_c, the gradient of ½ ρ ‖f‖², to `gradient`; ρ_c is ρ/ℓ² for moments. Return ½ ρ ‖f‖². */
+static double weighted_forces(const gf_structure *s, const gf_problem *problem, const double *f, double *gradient)
+{
+    const double length = problem->moment_length > 0.0 ? problem->moment_length : 1.0;
+    double sum = 0.0;
+    for (int i = 0, component = 0; i < s->contacts; i++)
+        for (int c = 0; c < s->components[i]; c++, component++) {
+            gradient[component] = problem->force_weight / (c == 3 ? length * length : 1.0) * f[component];
+            sum += 0.5 * gradient[component] * f[component];
+        }
+    return sum;
+}
+
 void gf_problem_units(const gf_structure *s, const gf_problem *problem, double length, double *torque, gf_units *units)
 {
     const double *w = problem->w;
@@ -193,18 +206,18 @@ void gf_problem_units(const gf_structure *s, const gf_problem *problem, double l
 int gf_certify(const gf_structure *s, const gf_problem *problem, const gf_solution *x, const gf_units *unit, double *tau,
                double *z, double *scratch, gf_residuals *residuals)
 {
-    if (s->facets > 0) return 0;
+    if (s->facets > 0 || s->level != GF_LEVEL_NONE) return 0;
     int k = 0, n = s->joints;
     for (int i = 0; i < s->contacts; i++) k += s->components[i];
 
-    /* tau = tau_u + Jᵀ f and cost = ½ tauᵀ W tau + ½ ρ fᵀf + cᵀf */
+    /* tau = tau_u + Jᵀ f and cost = ½ tauᵀ W tau + ½ ρ ‖f‖² + cᵀf */
     for (int j = 0; j < n; j++) tau[j] = problem->tau_u[j];
     const double *at = problem->J;
     for (int c = 0; c < k; c++) {
         gf_jacobian_row J = next_row(s, c, &at);
         for (int j = 0; j < J.count; j++) tau[J.first + j] += J.entry[j] * x->f[c];
     }
-    double cost = 0.5 * problem->force_weight * dot(k, x->f, x->f) + (problem->cost ? dot(k, problem->cost, x->f) : 0.0);
+    double cost = weighted_forces(s, problem, x->f, z) + (problem->cost ? dot(k, problem->cost, x->f) : 0.0);
     for (int j = 0; j < n; j++) cost += 0.5 * problem->weight[j] * tau[j] * tau[j];
 
     /* G f − w, and yᵀ(G f − w) */
@@ -224,8 +237,7 @@ int gf_certify(const gf_structure *s, const gf_problem *problem, const gf_soluti
     at = problem->J;
     for (int c = 0; c < k; c++) {
         gf_jacobian_row J = next_row(s, c, &at);
-        z[c] = dot(J.count, J.entry, price + J.first) + problem->force_weight * x->f[c] +
-               (problem->cost ? problem->cost[c] : 0.0);
+        z[c] += dot(J.count, J.entry, price + J.first) + (problem->cost ? problem->cost[c] : 0.0);
     }
     for (int r = 0; r < 6; r++) subtract(k, x->y[r], problem->G + (size_t)r * (size_t)k, z);
     for (int i = 0, c = 0; i < s->contacts; c += s->components[i++])

@@ -41,7 +41,7 @@
 /* Header of the workspace, kept between calls for warm starts. */
 typedef struct {
     uint64_t fingerprint; /* of the last optimal solution, zero if there is none */
-    double y[WRENCH], tau;
+    double y[SHARED], tau;
 } gf_warm_memory;
 
 #if defined(__x86_64__) && defined(__gnu_linux__) && __GNUC__ >= 12 && !defined(__clang__) && GF_LANES > 1 && !defined(__AVX2__)
@@ -53,12 +53,39 @@ typedef struct {
 #define GF_TARGET_CLONES
 #endif
 
-static const double DEMAND_GROWTH = 4.0, LARGEST_DEMAND = 1e4; /* of `proof_demand`, while a proof cannot be completed */
+static const double DEMAND_GROWTH = 4.0, LARGEST_DEMAND = 1e4;  /* of `proof_demand`, while a proof cannot be completed */
+static const double LEAST_MARGIN = GF_BY_PRECISION(1e-8, 1e-4); /* in units of F: a smaller negative margin counts as zero */
 
 /* Run the iteration, compiled into one function. */
 GF_TARGET_CLONES static gf_status run_iteration(gf_iteration *a, int max_iterations, int *iterations)
 {
-    return iterate(a, max_iterations, iterations);
+    return iterate(a, 0, max_iterations, iterations);
+}
+
+/* Run the iteration of a problem with a level, likewise. */
+GF_TARGET_CLONES static gf_status run_level_iteration(gf_iteration *a, int max_iterations, int *iterations)
+{
+    return iterate(a, 1, max_iterations, iterations);
+}
+
+/* Run the iteration until a verdict is reached; an infeasibility proof is then in `solution`. */
+static gf_status run_to_verdict(gf_iteration *a, int max_iterations, gf_solution *solution)
+{
+    const gf_scaled_problem *p = a->p;
+    for (;; a->proof_demand *= DEMAND_GROWTH) {
+        const gf_status status = p->structure->level == GF_LEVEL_NONE
+                                     ? run_iteration(a, max_iterations, &solution->iterations)
+                                     : run_level_iteration(a, max_iterations, &solution->iterations);
+        /* an optimal margin below zero: its multipliers prove that no forces have the margin zero */
+        const int is_negative = status == GF_OPTIMAL && p->structure->level == GF_LEVEL_MARGIN &&
+                                a->y[WRENCH] * p->level_unit < -LEAST_MARGIN * a->tau;
+        if (is_negative) return unpack_proof(p, a->y, solution) ? GF_INFEASIBLE : GF_OPTIMAL;
+        if (status != GF_INFEASIBLE || unpack_proof(p, a->y, solution)) {
+            if (status == GF_OPTIMAL || status == GF_INFEASIBLE || !prove_outside_range(a)) return status;
+            return unpack_proof(p, a->y, solution) ? GF_INFEASIBLE : GF_FAILED;
+        }
+        if (!(a->proof_demand < LARGEST_DEMAND)) return GF_FAILED;
+    }
 }
 
 /* Place the parts of a workspace. Return its header. */
@@ -84,7 +111,7 @@ size_t gf_workspace_size(const gf_structure *s)
             if (s->contact_block[i] != b) continue;
             g.d += s->components[i];
             g.cones += s->components[i] > 1;
-            g.fixed++, g.rows++;
+            g.fixed++, g.rows += 1 + (s->level == GF_LEVEL_LARGEST_NORMAL);
         }
         for (int j = 0; j < s->joints; j++)
             if (s->joint_block[j] == b) g.fixed++, g.rows++;
@@ -120,16 +147,11 @@ gf_status gf_solve(const gf_structure *structure, const gf_problem *problem, con
         start_warm(&a, kept->y, kept->tau);
     else
         start_cold(&a);
-    gf_status status = run_iteration(&a, options->max_iterations, &solution->iterations);
-    for (; status == GF_INFEASIBLE && !unpack_proof(&p, a.y, solution); a.proof_demand *= DEMAND_GROWTH)
-        status = a.proof_demand < LARGEST_DEMAND ? run_iteration(&a, options->max_iterations, &solution->iterations)
-                                                 : GF_FAILED;
-    const int is_proven = status == GF_INFEASIBLE;
-    if (status > GF_OPTIMAL && !is_proven && prove_outside_range(&a)) status = GF_INFEASIBLE;
+    const gf_status status = run_to_verdict(&a, options->max_iterations, solution);
     solution->primal = a.primal;
     solution->dual = a.dual;
     solution->gap = a.gap;
-    if (status == GF_INFEASIBLE) return is_proven || unpack_proof(&p, a.y, solution) ? status : GF_FAILED;
+    if (status == GF_INFEASIBLE) return status;
     if (!unpack(&p, a.y, a.tau, solution)) return GF_FAILED;
     if (status == GF_OPTIMAL) {
         kept->fingerprint = p.fingerprint;

@@ -62,6 +62,8 @@ class Kernel:
         lambda_upper: _Numbers,
         tau: _Numbers,
         report: npt.NDArray[np.void],
+        level: int = 0,
+        moment_length: float = 1.0,
     ) -> None: ...
     def solve(self, first: int, last: int, tolerance: float, max_iterations: int, warm: bool, /) -> int: ...
     def certify(self, first: int, last: int, /) -> None: ...
@@ -72,6 +74,7 @@ class IncrementalKernel:
         max_block_size: int,
         columns: npt.NDArray[np.intp],
         facet_contact: _Integers | None,
+        level: int,
         w: _Numbers,
         J: _Numbers | None,
         tau_u: _Numbers | None,
@@ -87,6 +90,7 @@ class IncrementalKernel:
         facet: _Numbers | None,
         cost: _Numbers | None,
         force_weight: float,
+        moment_length: float,
         /,
     ) -> None: ...
     def step(

@@ -35,13 +35,13 @@ with contextlib.suppress(ImportError):  # not built: no C compiler
 
 TOLERANCE = 1e-9  # on scaled residuals: a tenth of the certificate's tolerance
 MAX_ITERATIONS = 60
-LARGEST_BLOCK = 48  # force components that share joints; larger dense blocks are slower than a sparse solver
+LARGEST_BLOCK = 48  # force components that share joints in a control step; larger dense blocks are slower than a sparse solver
 # the arrays that a step of `IncrementalKernel` can change
 CHANGEABLE = ("w", "J", "tau_u", "p", "R", "mu", "min_normal", "max_normal", "gamma")
 NOT_BUILT = "graspforce was installed without a C compiler"
 
 _INPUT_NAMES = (*CHANGEABLE, "lower", "upper", "weight", "facet", "cost")
-_OBJECTIVES = ("torque", "force", "sum_normal")
+_LEVELS = {"max_normal": 1, "margin": 2}  # gf_level of an objective; 0 for all others
 _COMPONENTS = {model: len(model.columns) for model in ContactModel}
 _EMPTY = np.zeros(0)
 _NO_FACETS = (np.zeros((0, 4)), np.zeros(0, dtype=np.intc))
@@ -67,7 +67,6 @@ def solve_stacked(problem: ForceProblem, rows: Mapping[str, Array], count: int) 
         solver; certified_primal, certified_dual and certified_gap.
 
     Raises:
-        UnsupportedProblem: as `KernelSession`.
         BackendError: the kernel was not built.
     """
     arrays = kernel_arrays(problem, count)
@@ -85,12 +84,16 @@ def kernel_arrays(problem: ForceProblem, count: int = 1) -> dict[str, Any]:
         count: number of results.
 
     Raises:
-        UnsupportedProblem: as `KernelSession`.
+        UnsupportedProblem: the objective is max_normal or margin.
         BackendError: the kernel was not built.
     """
-    check_supported(problem)
+    check_available()
+    if level_of(problem):
+        raise UnsupportedProblem(
+            f"stacked problems have no objective {problem.objective.type}: their certificates in C lack it"
+        )
     facets, owners = facet_rows(problem)
-    *numbers, force_weight = kernel_inputs(problem, facets)
+    *numbers, force_weight, moment_length = kernel_inputs(problem, facets)
     arrays = {name: None if x is None else np.ascontiguousarray(x) for name, x in zip(_INPUT_NAMES, numbers, strict=True)}
     n = joint_count(problem)
     if problem.actuation is None:
@@ -99,10 +102,7 @@ def kernel_arrays(problem: ForceProblem, count: int = 1) -> dict[str, Any]:
         arrays["weight"] = np.zeros(n)
     components = np.array([_COMPONENTS[model] for model in problem.contacts.models], dtype=np.intc)
     contact_block, joint_block = np.zeros(len(components), dtype=np.intc), np.zeros(n, dtype=np.intc)
-    largest = find_fingers(components, arrays["J"], contact_block, joint_block)
-    if largest > LARGEST_BLOCK:
-        allowed = f"at most {LARGEST_BLOCK} force components that share joints, not {largest}"
-        raise UnsupportedProblem(f"structured supports {allowed}")
+    find_fingers(components, arrays["J"], contact_block, joint_block)
     structure = {"components": components, "contact_block": contact_block, "joint_block": joint_block}
     k, N = problem.size, len(components)
     units = {"force_unit": 1, "length_unit": 1, "cost_unit": 1, "torque_unit": n}
@@ -116,31 +116,31 @@ def kernel_arrays(problem: ForceProblem, count: int = 1) -> dict[str, Any]:
         "G": None,
         "facet_contact": owners,
         "force_weight": np.array([force_weight]),
+        "moment_length": moment_length,
     }
 
 
-def check_supported(problem: ForceProblem) -> None:
-    """Raise an error if the kernel is missing or does not support the objective.
+def level_of(problem: ForceProblem) -> int:
+    """Return the kind of the variable that all contacts share in the kernel: a ``gf_level``.
 
     Args:
         problem: the force problem.
+    """
+    return _LEVELS.get(problem.objective.type, 0)
+
+
+def check_available() -> None:
+    """Raise an error if the kernel is missing.
 
     Raises:
-        UnsupportedProblem: the kernel does not support the objective, or its moment_length.
         BackendError: the kernel was not built.
     """
     if Kernel is None:
         raise BackendError(f"structured is not available: {NOT_BUILT}")
-    if problem.objective.type not in _OBJECTIVES:
-        allowed = ", ".join(_OBJECTIVES)
-        raise UnsupportedProblem(f"structured supports the objectives {allowed}, not {problem.objective.type}")
-    weighs_forces = problem.objective.type == "force" or problem.objective.force_weight > 0.0
-    if weighs_forces and problem.objective.moment_length != 1.0 and ContactModel.SOFT in problem.contacts.models:
-        raise UnsupportedProblem("structured supports a moment_length of 1 m for soft contacts")
 
 
 def kernel_inputs(problem: ForceProblem, facets: Array | None = None) -> tuple[Any, ...]:
-    """Return the inputs of `IncrementalKernel` in the order of `_INPUT_NAMES`, then ρ of ½ρ‖f‖².
+    """Return the inputs of `IncrementalKernel` in the order of `_INPUT_NAMES`, then ρ of ½ρ‖f‖² and its moment length.
 
     Args:
         problem: the force problem.
@@ -158,7 +158,21 @@ def kernel_inputs(problem: ForceProblem, facets: Array | None = None) -> tuple[A
         cost = np.zeros(problem.size)
         cost[contacts.normal_rows] = 1.0
     limits = contacts.mu, contacts.min_normal, contacts.max_normal, contacts.gamma
-    return (problem.w, J, tau_u, contacts.p_OC, contacts.R_OC, *limits, lower, upper, weight, facets, cost, force_weight)
+    return (
+        problem.w,
+        J,
+        tau_u,
+        contacts.p_OC,
+        contacts.R_OC,
+        *limits,
+        lower,
+        upper,
+        weight,
+        facets,
+        cost,
+        force_weight,
+        objective.moment_length,
+    )
 
 
 def joint_count(problem: ForceProblem) -> int:

@@ -1,8 +1,8 @@
 """The structured kernel: exact cones and torque limits, solved and certified in C in tens of microseconds.
 
-The kernel supports hands whose fingers share few joints, and objectives that are quadratic or linear in the forces. Its C
-interface is ``csrc/include/graspforce/solve.h`` and ``certify.h``. Without a C compiler at installation the compiled module is
-missing; `KernelBackend.unavailable_reason` states it.
+The kernel supports every force problem. It is fastest for hands whose fingers share few joints. Its C interface is
+``csrc/include/graspforce/solve.h`` and ``certify.h``. Without a C compiler at installation the compiled module is missing;
+`KernelBackend.unavailable_reason` states it.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ import numpy as np
 import numpy.typing as npt
 
 from graspforce.core.arrays import Array
-from graspforce.core.errors import BackendError, UnsupportedProblem
+from graspforce.core.errors import BackendError
 from graspforce.force.backends.compiled_kernel import (
     CHANGEABLE,
-    LARGEST_BLOCK,
     MAX_ITERATIONS,
     NOT_BUILT,
     TOLERANCE,
     IncrementalKernel,
-    check_supported,
+    check_available,
     facet_rows,
     is_available,
     joint_count,
     kernel_inputs,
+    level_of,
     make_record,
 )
 from graspforce.force.backends.protocol import Backend, SolverSettings
@@ -38,6 +38,7 @@ from graspforce.force.status import Status
 
 _STATUS = (Status.OPTIMAL, Status.INACCURATE, Status.INFEASIBLE, Status.FAILED)
 _INFEASIBLE = _STATUS.index(Status.INFEASIBLE)
+_ANY_SIZE = 2**31 - 1  # of a block of force components that share joints
 
 
 class KernelBackend:
@@ -121,7 +122,7 @@ class KernelResult:
             normal_upper=self.part("nu_upper"),
             torque_lower=self.part("lambda_lower"),
             torque_upper=self.part("lambda_upper"),
-            level=np.zeros(len(contacts)),
+            level=self.part("level"),
             point=contacts.centroid,
         )
 
@@ -162,7 +163,6 @@ class KernelSession:
         settings: tolerance and limit on iterations of every solve.
 
     Raises:
-        UnsupportedProblem: another objective, or too many fingers on shared joints.
         BackendError: the kernel was not built.
     """
 
@@ -263,14 +263,11 @@ class KernelSession:
         return layout
 
     def _bind(self, problem: ForceProblem) -> None:
-        """Make a kernel for a problem; the session stays as it was if the kernel does not support it."""
-        check_supported(problem)
+        """Make a kernel for a problem."""
+        check_available()
         facets, owners = (None, None) if problem.cone.type == "exact" else facet_rows(problem)
         inputs = kernel_inputs(problem, facets)
-        try:
-            self._kernel = IncrementalKernel(LARGEST_BLOCK, problem.contacts.columns, owners, *inputs)
-        except OverflowError as error:
-            raise UnsupportedProblem(f"structured supports {error}") from None
+        self._kernel = IncrementalKernel(_ANY_SIZE, problem.contacts.columns, owners, level_of(problem), *inputs)
         self._loaded, self._result = problem, None
         self._spans = self._kernel.spans()
 

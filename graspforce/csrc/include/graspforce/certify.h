@@ -49,7 +49,7 @@ typedef struct {
     gf_real gap;    /* |gap| over cost unit + |cost(f)| */
 } gf_residuals;
 
-/* Measure the residuals of a solution. Return 1, or 0 if the problem has facets, which are not supported.
+/* Measure the residuals of a solution. Return 1, or 0 if the problem has facets or a level, which are not supported.
  *
  * solution   f, y, nu_lower, nu_upper, lambda_lower and lambda_upper are read
  * tau        (n) written: motor torques, N·m

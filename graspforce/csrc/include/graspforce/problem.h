@@ -26,6 +26,14 @@
 extern "C" {
 #endif
 
+/* A further variable that all contacts share, and its part of the objective. */
+typedef enum {
+    GF_LEVEL_NONE = 0,           /* no such variable */
+    GF_LEVEL_LARGEST_NORMAL = 1, /* t ≥ f_n at every contact; the objective has the further term t */
+    GF_LEVEL_MARGIN = 2 /* s ≥ 0, with √(‖f_t‖² + (μ m_n/γ)²) ≤ μ f_n − s and aᵀ f_i ≤ −s at every contact with friction;
+                                  * the objective has the further term −s */
+} gf_level;
+
 /* The part of a problem that stays the same from one solution to the next: sizes, contact models and fingers.
  *
  * A block is a finger: a set of contacts and motors. J must be zero between a contact and a motor of different blocks. Fingers
@@ -39,6 +47,7 @@ typedef struct {
     const int *contact_block; /* (N) block of each contact, from 0 to B − 1 */
     const int *joint_block;   /* (n) block of each motor; optional if n = 0 */
     const int *facet_contact; /* (m) contact of each facet; optional if m = 0 */
+    gf_level level;           /* variable that all contacts share */
     const int *span;          /* (k, 2) stored columns of each row of J, first and past the last; NULL if J is dense */
 } gf_structure;
 
@@ -61,6 +70,7 @@ typedef struct {
     const gf_real *facet;      /* (m, 4) rows a of aᵀ (f_t1, f_t2, f_n, m_n) ≤ 0; optional if m = 0 */
     const gf_real *cost;       /* (k) linear cost c of the forces; optional */
     gf_real force_weight;      /* weight ρ ≥ 0 of ½ ‖f‖² */
+    gf_real moment_length;     /* length ℓ > 0 that weighs moments in ‖f‖² = Σ ‖f_i‖² + m_n²/ℓ², m; 0 stands for 1 m */
 } gf_problem;
 
 /* Result of gf_solve(). */
@@ -78,9 +88,10 @@ const char *gf_status_string(int status);
  *
  * Optimal: the multipliers satisfy the stationarity condition
  *
- *     J W tau + ρ f + c = Gᵀ y + z + E_n (nu_lower − nu_upper) + J (lambda_lower − lambda_upper)
+ *     J W tau + ρ f + c = Gᵀ y + z + E_n (nu_lower − nu_upper − level) + J (lambda_lower − lambda_upper)
  *
- * with nu ≥ 0, lambda ≥ 0 and z in the dual cones. E_n maps the N normal forces to their rows of f.
+ * with nu ≥ 0, lambda ≥ 0 and z in the dual cones. `level` is zero except with GF_LEVEL_LARGEST_NORMAL: then level ≥ 0, and its
+ * sum is one. With GF_LEVEL_MARGIN, Σ z_n/μ ≥ 1. E_n maps the N normal forces to their rows of f.
  *
  * Infeasible: f is NaN and the multipliers prove that no forces exist. They satisfy
  *
@@ -100,6 +111,7 @@ typedef struct {
     gf_real *nu_upper;     /* (N) multipliers of f_n ≤ max_normal */
     gf_real *lambda_lower; /* (n) multipliers of lower ≤ tau; optional if n = 0 */
     gf_real *lambda_upper; /* (n) multipliers of tau ≤ upper; optional if n = 0 */
+    gf_real *level;        /* (N) multipliers of f_n ≤ t; optional */
     int iterations;        /* number of iterations */
     gf_real primal;        /* last violation of the constraints, relative to the size of the problem */
     gf_real dual;          /* last violation of stationarity, likewise */

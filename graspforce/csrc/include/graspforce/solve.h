@@ -10,6 +10,8 @@
  *                  min_normal ≤ f_n ≤ max_normal              normal force limits of each contact
  *                  lower ≤ tau ≤ upper                        torque limits of each motor
  *
+ * or in place of that cost the largest normal force, or minus the slip margin that all contacts keep (gf_level),
+ *
  * or proves that no such forces exist. If μ or γ is zero, the force components that it bounds are zero. A contact with facets
  * obeys the half-spaces aᵀ f_i ≤ 0 instead of the exact cone. problem.h describes the arrays, their frames and their units.
  *
