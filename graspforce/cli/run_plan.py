@@ -44,6 +44,14 @@ _STAGES = {
     SEARCH: "Optimising the move",
     CHECK: "Checking between knots",
 }
+_LIMIT_OPTIONS = {
+    "linear": "acceleration",
+    "angular": "acceleration",
+    "joints": "joint-acceleration",
+    "linear_jerk": "jerk",
+    "angular_jerk": "jerk",
+    "joint_jerk": "joint-jerk",
+}
 _MIN_ACTIVE_FRACTION = 0.01  # of the time: limits active for less are not listed
 _SAMPLES = 400  # instants at which limits are evaluated
 _EXPORT_PERIOD = 1e-3  # s, between rows of a saved trajectory
@@ -163,24 +171,32 @@ def parse_via(text: str) -> tuple[float, ...]:
     return parse_vector(text, "via", 6)
 
 
-def parse_limits(acceleration: str | None, joint_acceleration: float | None) -> AccelerationLimits:
-    """Return the limits of accelerations of two options; None for no limit.
+def parse_limits(
+    acceleration: str | None, joint_acceleration: float | None, jerk: str | None = None, joint_jerk: float | None = None
+) -> AccelerationLimits:
+    """Return the limits of accelerations and jerk of four options; None for no limit.
 
     Args:
         acceleration: one number or two separated by commas: linear, m/s², and angular, rad/s², of the object.
         joint_acceleration: of each joint, rad/s².
+        jerk: one number or two separated by commas: linear, m/s³, and angular, rad/s³, of the object.
+        joint_jerk: of each joint, rad/s³.
 
     Raises:
         InvalidInput: not numbers, or out of range.
     """
-    given: dict[str, float] = {} if joint_acceleration is None else {"joints": joint_acceleration}
-    if acceleration is not None:
-        count = 1 + min(acceleration.count(","), 1)
-        given |= dict(zip(("linear", "angular"), parse_vector(acceleration, "acceleration", count), strict=False))
+    options = {"joints": joint_acceleration, "joint_jerk": joint_jerk}
+    given = {name: value for name, value in options.items() if value is not None}
+    for text, option, names in (
+        (acceleration, "acceleration", ("linear", "angular")),
+        (jerk, "jerk", ("linear_jerk", "angular_jerk")),
+    ):
+        if text is not None:
+            given |= dict(zip(names, parse_vector(text, option, 1 + min(text.count(","), 1)), strict=False))
     try:
         return AccelerationLimits(**given)
     except InvalidInput as error:
-        raise error.with_field("joint-acceleration" if error.field == "joints" else "acceleration") from None
+        raise error.with_field(_LIMIT_OPTIONS[error.field]) from None
 
 
 def run(options: PlanOptions, output: PlanOutput, console: Console, connect: str | None = None) -> int:

@@ -1,4 +1,4 @@
-"""Limits of the accelerations of object and joints."""
+"""Limits of the accelerations of object and joints, and of their rates, the jerk."""
 
 from __future__ import annotations
 
@@ -10,20 +10,25 @@ from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
 
-_NAMES = ("linear", "angular", "joints")
-_LEAST = 1e-6  # m/s² or rad/s²: with less a move of a millimetre takes a minute
+_NAMES = ("linear", "angular", "joints", "linear_jerk", "angular_jerk", "joint_jerk")
+_LEAST = 1e-6  # m/s² or rad/s², and of the jerk in m/s³ or rad/s³: with less a move of a millimetre takes a minute
 
 
 @dataclass(frozen=True, slots=True)
 class AccelerationLimits:
-    """Limits of accelerations in a move; infinite ones do not limit.
+    """Limits of accelerations and of their rates in a move; infinite ones do not limit.
 
         ‖p̈‖ ≤ linear,    ‖α‖ ≤ angular,    |q̈ⱼ| ≤ joints for each joint j
+
+    and the same for the time derivatives of p̈, α and q̈. With a limit of jerk, a move starts and ends without acceleration.
 
     Args:
         linear: of the object's origin O in H, m/s².
         angular: of the object's rotation, rad/s².
         joints: of each joint, rad/s² (m/s² for a prismatic joint).
+        linear_jerk: of the time derivative of p̈, m/s³.
+        angular_jerk: of the time derivative of α in H, rad/s³.
+        joint_jerk: of the time derivative of each q̈ⱼ, rad/s³ (m/s³ for a prismatic joint).
 
     Raises:
         InvalidInput: a limit below 1e-6, or not a number.
@@ -32,6 +37,9 @@ class AccelerationLimits:
     linear: float = float("inf")
     angular: float = float("inf")
     joints: float = float("inf")
+    linear_jerk: float = float("inf")
+    angular_jerk: float = float("inf")
+    joint_jerk: float = float("inf")
 
     def __post_init__(self) -> None:
         for name in _NAMES:
@@ -43,6 +51,16 @@ class AccelerationLimits:
     def object_limits(self) -> tuple[float, float]:
         """Return the limits of the object, m/s² and rad/s²."""
         return self.linear, self.angular
+
+    @property
+    def object_jerks(self) -> tuple[float, float]:
+        """Return the limits of the object's jerk, m/s³ and rad/s³."""
+        return self.linear_jerk, self.angular_jerk
+
+    @property
+    def has_jerk(self) -> bool:
+        """Whether a jerk is limited."""
+        return min(*self.object_jerks, self.joint_jerk) < float("inf")
 
     @classmethod
     def from_dict(cls, record: object, field: str = "") -> AccelerationLimits:

@@ -146,7 +146,35 @@ def check(plan: Plan, tolerance: float = TOLERANCE) -> tuple[PlanCheck, LimitExc
         error = np.maximum(interpolated, -tolerance) - np.maximum(direct, -tolerance)
         if np.abs(error).max() <= _CONFIRM_SHARE * tolerance:
             break
+    if task.acceleration_limits.has_jerk:
+        interpolated[-1] = max(interpolated[-1], _jerk_excess(task, knots, at_nodes, degree).max())
     return _plan_check(task, required, interpolated, tolerance), over
+
+
+def jerk_excess(plan: Plan) -> Array:
+    """Return the largest excess of jerk in each interval (K − 1,), relative to its limit; −inf without limits.
+
+    Args:
+        plan: the plan.
+    """
+    at_nodes = required_loads(plan.task, plan.at(interpolation_nodes(plan.knots.times)))
+    return _jerk_excess(plan.task, plan.knots.times, at_nodes, _DEGREES[0])
+
+
+def _jerk_excess(task: Task, knots: Array, at_nodes: RequiredLoads, degree: int) -> Array:
+    """Return the excess from the derivatives of the accelerations' polynomials, at their nodes in every interval."""
+    limits, parts = task.acceleration_limits, list[tuple[Array, float]]()
+    if isinstance(task, ObjectTask):
+        parts += zip(np.split(at_nodes.acceleration, 2, axis=1), limits.object_jerks, strict=True)
+    if isinstance(task, HandTask):
+        parts += [(column[:, None], limits.joint_jerk) for column in at_nodes.a.T]
+    nodes = degree * np.arange(len(knots) - 1)[:, None] + np.arange(degree + 1)
+    largest = np.full(len(knots) - 1, _NONE)
+    for values, limit in parts:
+        if limit < np.inf:
+            jerk = _differentiation_matrix(degree) @ values[nodes] / np.diff(knots)[:, None, None]
+            largest = np.maximum(largest, np.linalg.norm(jerk, axis=2).max(axis=1) / limit - 1.0)
+    return largest
 
 
 def check_at_times(plan: Plan, times: Array, tolerance: float = TOLERANCE) -> PlanCheck:
@@ -181,6 +209,15 @@ def _interpolation_matrix(degree: int) -> Array:
     equal = np.abs(offset) < 1e-12  # the instant is a Chebyshev point; distinct ones are at least 1/32 apart
     share = weight / np.where(equal, 1.0, offset)
     return np.asarray(np.where(equal.any(axis=1, keepdims=True), equal, share / share.sum(axis=1, keepdims=True)))
+
+
+@cache
+def _differentiation_matrix(degree: int) -> Array:
+    """Return the matrix (degree + 1, degree + 1) from values at Chebyshev points on [0, 1] to derivatives there."""
+    x = _chebyshev_points(degree)
+    powers = np.arange(degree + 1)
+    slopes = powers * np.where(powers > 0, x[:, None] ** np.maximum(powers - 1, 0), 0.0)
+    return np.asarray(slopes @ np.linalg.inv(x[:, None] ** powers))
 
 
 def _interval_maxima(x: Array) -> Array:

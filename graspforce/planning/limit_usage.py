@@ -1,4 +1,4 @@
-"""How much of each limit a plan uses over time: motor torques, joint speeds, friction and normal forces."""
+"""How much of each limit a plan uses over time: motor torques, joint speeds, contact forces, accelerations and jerk."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from graspforce.core.arrays import Array, freeze
 from graspforce.planning.plan import Plan
 from graspforce.planning.task import HandTask, ObjectTask
 
-MOTOR, SPEED, FRICTION, NORMAL, ACCELERATION = "motor", "speed", "friction", "normal force", "acceleration"
+MOTOR, SPEED, FRICTION, NORMAL, ACCELERATION, JERK = "motor", "speed", "friction", "normal force", "acceleration", "jerk"
+_QUOTIENT = 1e-6  # of the duration: interval of the difference quotients that give the jerk
 _ACTIVE_SHARE = 0.995  # from this share on a limit is active: knots reach 1 to rounding, instants between them less
 
 
@@ -20,7 +21,7 @@ class LimitUsage:
     """The usage of one limit along a plan.
 
     Args:
-        kind: MOTOR, SPEED, FRICTION, NORMAL or ACCELERATION.
+        kind: MOTOR, SPEED, FRICTION, NORMAL, ACCELERATION or JERK.
         name: the joint or finger; the contact's number if there is no hand; "the object".
         used: (M,) share of the limit; 1 at the limit.
     """
@@ -76,7 +77,26 @@ def limit_usage(plan: Plan, times: Array) -> list[LimitUsage]:
             for name, part, limit in limits
             if limit < np.inf
         ]
+    if task.acceleration_limits.has_jerk:
+        usages += _jerk_usages(plan, times)
     return sorted(usages, key=lambda limit: (-limit.active.mean(), -float(limit.used.max())))
+
+
+def _jerk_usages(plan: Plan, times: Array) -> list[LimitUsage]:
+    """Return the usages of limits of jerk, from difference quotients of the accelerations."""
+    task, limits, step = plan.task, plan.task.acceleration_limits, _QUOTIENT * plan.duration
+    before = plan.at(np.clip(times, 0.0, plan.duration - step))
+    after = plan.at(np.clip(times, 0.0, plan.duration - step) + step)
+    usages: list[LimitUsage] = []
+    if isinstance(task, HandTask) and limits.joint_jerk < np.inf:
+        shares = np.abs(after.a - before.a).T / (step * limits.joint_jerk)
+        usages += [LimitUsage(JERK, joint.name, freeze(used)) for joint, used in zip(task.hand.joints, shares, strict=True)]
+    if isinstance(task, ObjectTask):
+        parts = np.split((after.acceleration - before.acceleration) / step, 2, axis=1)
+        for name, part, limit in zip(("the object", "the object's rotation"), parts, limits.object_jerks, strict=True):
+            if limit < np.inf:
+                usages.append(LimitUsage(JERK, name, freeze(np.linalg.norm(part, axis=1) / limit)))
+    return usages
 
 
 def _contact_usages(task: ObjectTask, f: Array) -> list[LimitUsage]:

@@ -52,7 +52,7 @@ class PlanCheck:
         torque: motor torque beyond its limits.
         speed: joint speed beyond its limit.
         position: joint position beyond its limits, relative to its range.
-        acceleration: acceleration of object or joints beyond its limit.
+        acceleration: acceleration or jerk of object or joints beyond its limit.
         drift: largest contact error, m: distance from the surface, slip, or distance from the planned contact.
         unmet: largest part of the wrench that the contacts cannot supply, relative to the largest wrench of the move.
         imbalance: wrench that the plan's own forces miss between knots, likewise; a controller supplies it. Not judged.

@@ -25,7 +25,7 @@ from graspforce.cli import execute_plan, main, run_plan
 from graspforce.cli.console import ERROR, INFEASIBLE, SUCCESS
 from graspforce.cli.options import GraspOptions
 from graspforce.hand.hand import Hand
-from graspforce.planning import FingerTask, JointPath, Plan, Progress, load, plan_along, plan_fingers_along
+from graspforce.planning import AccelerationLimits, FingerTask, JointPath, Plan, Progress, load, plan_along, plan_fingers_along
 from graspforce.planning import limit_usage as usage
 from graspforce.planning.failure import UNSOLVED, PlanFailure
 from graspforce.planning.limit_usage import limit_usage
@@ -223,6 +223,18 @@ def test_acceleration_limit_is_shown_as_active(at_once):
     limits = run_plan.parse_limits("1,50", None)
     assert run_plan.run(replace(PLAN_OPTIONS, limits=limits), NOTHING, Console(file=heard, width=150)) == SUCCESS
     assert "acceleration of the object (" in heard.getvalue()
+
+
+def test_limits_of_jerk_are_parsed_and_slow_the_move(at_once):
+    limits = run_plan.parse_limits(None, 40.0, "100,2000", 1e4)
+    assert limits == AccelerationLimits(joints=40.0, linear_jerk=100.0, angular_jerk=2000.0, joint_jerk=1e4)
+    with pytest.raises(InvalidInput, match="joint-jerk"):
+        run_plan.parse_limits(None, None, None, -1.0)
+    heard = io.StringIO()
+    slow = replace(PLAN_OPTIONS, limits=run_plan.parse_limits(None, None, "20"))
+    assert run_plan.run(slow, NOTHING, Console(file=heard, width=150)) == SUCCESS
+    fastest = float(re.findall(r"fastest move, ([0-9.]+) ms", heard.getvalue())[0])
+    assert fastest > 1e3 * np.cbrt(32.0 * np.linalg.norm(MOVES[HAND][0]) / 20.0)  # of the jerk alone
 
 
 def test_untrackable_plan_is_shown_and_not_executed(at_once, monkeypatch):

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from support.planning_cases import AXES, DISTANCE, block, disc, straight_move
 from support.tracked_moves import MOVES, find_move_grasp
 
@@ -122,6 +123,63 @@ def test_larger_limits_never_lengthen_a_move_of_a_hand(method: str) -> None:
         )
     assert durations == sorted(durations, reverse=True)
     assert durations[0] > 1.2 * durations[-1]  # the limits have an effect
+
+
+def largest_jerks(plan: Plan) -> tuple[float, float, float]:
+    """Return the largest jerks by difference quotients of the accelerations inside the intervals."""
+    knots, u = plan.knots.times, np.linspace(0.02, 0.98, 9)
+    times = (knots[:-1, None] + np.diff(knots)[:, None] * u).ravel()
+    step = 1e-4 * np.diff(knots).min()
+    before, after = plan.at(times), plan.at(times + step)
+    linear, angular = (
+        np.linalg.norm(part, axis=1).max(initial=0.0) / step
+        for part in np.split(after.acceleration - before.acceleration, 2, axis=1)
+    )
+    return float(linear), float(angular), float(np.abs(after.a - before.a).max(initial=0.0)) / step
+
+
+@pytest.mark.parametrize("limit", [2.0, 2000.0])
+def test_straight_move_takes_the_cube_root_of_32_distances_over_jerk(limit: float) -> None:
+    """Rest to rest with the jerk j alone, which is ±j: T = ∛(32 d/j). It starts and ends without acceleration."""
+    plan = plan_along(strong_block(linear_jerk=limit), straight_move(1.0, 0.0, 0.0))
+    assert isinstance(plan, Plan)
+    exact = np.cbrt(32.0 * DISTANCE / limit)
+    assert exact * (1.0 - 1e-3) <= plan.duration <= 1.03 * exact  # 100 intervals; the check takes a part of the limit
+    assert plan.knots.acceleration[[0, -1]] == pytest.approx(0.0, abs=1e-12)
+    assert largest_jerks(plan)[0] <= limit * (1.0 + 2e-3)
+    assert plan.s[[0, -1]] == pytest.approx([0.0, 1.0])
+
+
+def test_joint_move_keeps_its_limit_of_jerk() -> None:
+    hand = Hand.load("allegro_right")
+    goal = np.array(hand.neutral)
+    goal[1] += 0.3
+    task = FingerTask(hand, acceleration_limits=AccelerationLimits(joint_jerk=200.0))
+    plan = plan_fingers(task, hand.neutral, goal)
+    assert isinstance(plan, Plan)
+    assert plan.duration == pytest.approx(np.cbrt(32.0 * 0.3 / 200.0), rel=0.03)
+    assert largest_jerks(plan)[2] <= 200.0 * (1.0 + 2e-3)
+
+
+def test_jerk_of_a_held_object_keeps_all_limits_at_once() -> None:
+    grasp = find_move_grasp("allegro_right")
+    to, turn = MOVES["allegro_right"]
+    goal = Rotation.from_rotvec(turn).as_matrix() @ grasp.R_HO
+    p, R = np.array([grasp.p_HO, grasp.p_HO + to]), np.array([grasp.R_HO, goal])
+    free_task = tracking.object_task(grasp, ControlSettings(slip_margin=1.0))
+    durations = []
+    for factor in (1.0, 4.0, np.inf):
+        limits = AccelerationLimits(linear=1.0, linear_jerk=100.0 * factor, angular_jerk=2e3 * factor, joint_jerk=1e4 * factor)
+        plan = PathMove(replace(free_task, acceleration_limits=limits), p, R, q_start=grasp.q, intervals=60).plan()
+        assert isinstance(plan, Plan)
+        assert plan.check.verified
+        durations.append(plan.duration)
+        most = (limits.linear_jerk, limits.angular_jerk, limits.joint_jerk)
+        assert all(found <= limit * (1.0 + 5e-3) for found, limit in zip(largest_jerks(plan), most, strict=True))
+        assert largest(plan)[0] <= 1.0 + 5e-3
+    assert durations == sorted(durations, reverse=True)
+    with pytest.raises(InvalidInput, match="jerk"):
+        plan_free(replace(free_task, acceleration_limits=AccelerationLimits(joint_jerk=1e4)), p, R, grasp.q)
 
 
 def test_record_keeps_limits() -> None:

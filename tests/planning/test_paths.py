@@ -11,6 +11,7 @@ from graspforce import InvalidInput
 from graspforce.core.arrays import Array
 from graspforce.geometry.hermite import hermite, locate_intervals
 from graspforce.planning.interpolation import hermite_rotation
+from graspforce.planning.path.eased_path import EasedObjectPath
 from graspforce.planning.path.paths import JointPath, ObjectPath, ScrewPath, SplinePath, StraightPath, knot_grid
 
 START = (np.array([0.1, -0.02, 0.03]), Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix())
@@ -37,6 +38,7 @@ PATHS: dict[str, ObjectPath] = {
     "through poses": SplinePath.through(*(np.array(x) for x in zip(START, VIA, GOAL, strict=True))),
     "through turns": SplinePath.through(0.01 * np.arange(15.0).reshape(5, 3), TURNS.as_matrix()),
     "spline": user_spline(),
+    "eased": EasedObjectPath(user_spline()),
 }
 
 

@@ -50,6 +50,11 @@ def plan(
     joint_acceleration: Annotated[
         float | None, typer.Option(metavar="RAD/S²", help="Limit of each joint's acceleration.")
     ] = None,
+    jerk: Annotated[
+        str | None,
+        typer.Option(metavar="LINEAR[,ANGULAR]", help="Limits of the object's jerk, m/s³ and rad/s³."),
+    ] = None,
+    joint_jerk: Annotated[float | None, typer.Option(metavar="RAD/S³", help="Limit of each joint's jerk.")] = None,
     clearance: Annotated[
         float,
         typer.Option(
@@ -101,7 +106,7 @@ def plan(
     from graspforce.cli.run_finger_plan import FingerPlanOptions, parse_tips
 
     output = run_plan.PlanOutput(save=save, plots=plots, execute=execute, video=video, frames=frames, force=force)
-    limits, obstacles = run_plan.parse_limits(acceleration, joint_acceleration), tuple(obstacle or [])
+    limits, obstacles = run_plan.parse_limits(acceleration, joint_acceleration, jerk, joint_jerk), tuple(obstacle or [])
     if tips:
         places = tuple(parse_tips(text) for text in tips)
         fingers_only = FingerPlanOptions(hand, places, gravity, clearance, obstacles, intervals, limits)

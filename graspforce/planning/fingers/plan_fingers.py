@@ -46,6 +46,7 @@ def plan_fingers(
 
     The search begins with the straight line between both postures. That line is the result if it keeps the clearances and
     the search finds no faster move that passes the check. Fingers whose joints are the same in both postures do not move.
+    With limits of jerk there is no search: the result is the straight line, or the reason why it cannot be followed.
 
     Args:
         task: the hand.
@@ -64,6 +65,9 @@ def plan_fingers(
     """
     if not isinstance(task, FingerTask):
         raise InvalidInput("task", type(task).__name__, "a FingerTask; plan_free plans a move of an object")
+    if task.acceleration_limits.has_jerk:
+        ends = np.array([check_posture(task.hand, q, name) for name, q in (("q_start", q_start), ("q_goal", q_goal))])
+        return plan_fingers_through(task, ends, clearance, obstacles, settings=settings, callback=callback)
     hand, settings = task.hand, PlanSettings() if settings is None else settings
     q_start, q_goal = check_posture(hand, q_start, "q_start"), check_posture(hand, q_goal, "q_goal")
     intervals = fields.check_integer(settings.intervals or SEARCH_INTERVALS, "intervals", minimum=4, maximum=2000)

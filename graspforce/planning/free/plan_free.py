@@ -125,6 +125,8 @@ def _check_task(task: Task) -> None:
     """Raise InvalidInput unless the program can represent the task."""
     if isinstance(task, FingerTask):
         raise InvalidInput("task", "FingerTask", "a task with an object; plan_fingers plans fingers alone")
+    if task.acceleration_limits.has_jerk:
+        raise InvalidInput("acceleration_limits", "a limit of jerk", "limits of accelerations; plan_along limits jerk, too")
     for i, model in enumerate(task.contacts.models):
         if model is not ContactModel.POINT or task.contacts.mu[i] <= 0.0:
             raise InvalidInput(f"contacts[{i}].model", model.value, "a point contact with friction")

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from graspforce.core.arrays import Array
+from graspforce.planning.path.eased_path import EasedJointPath
 from graspforce.planning.path.joint_path import contact_points, fixed_contact_points
 from graspforce.planning.path.paths import ContactPoints, JointPath, JointPoints, ObjectPath, PosePoints
 from graspforce.planning.task import GraspTask, IdealTask
@@ -31,7 +32,7 @@ class PathKnots:
     midpoints: JointPoints
 
     @classmethod
-    def of_grasp(cls, task: GraspTask, path: ObjectPath, joints: JointPath, s: Array) -> PathKnots:
+    def of_grasp(cls, task: GraspTask, path: ObjectPath, joints: JointPath | EasedJointPath, s: Array) -> PathKnots:
         """Return the knots of a hand that moves an object.
 
         Args:
@@ -55,7 +56,7 @@ class PathKnots:
         return cls(s, path.points(s), fixed_contact_points(task, len(s)), _no_joints(len(s)), _no_joints(len(s) - 1))
 
     @classmethod
-    def of_fingers(cls, path: JointPath, s: Array) -> PathKnots:
+    def of_fingers(cls, path: JointPath | EasedJointPath, s: Array) -> PathKnots:
         """Return the knots of fingers alone.
 
         Args:

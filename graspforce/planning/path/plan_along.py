@@ -19,13 +19,15 @@ from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.planning import collisions
-from graspforce.planning.check import SAMPLES_PER_INTERVAL, LimitExcess, acceleration_limits, check
+from graspforce.planning.check import SAMPLES_PER_INTERVAL, LimitExcess, acceleration_limits, check, jerk_excess
 from graspforce.planning.collisions import path_collision, scene_of_task
 from graspforce.planning.failure import UNSOLVED, PlanFailure, joint_limit_failure
 from graspforce.planning.given_points import METRES_PER_RADIAN, MIN_DISTANCE, check_start_posture
 from graspforce.planning.path import program
 from graspforce.planning.path.dynamics import PathDynamics, path_dynamics
+from graspforce.planning.path.eased_path import EasedJointPath, EasedObjectPath, ease, even_knots
 from graspforce.planning.path.immovable import missing_wrench_failure, slow_motion_failure
+from graspforce.planning.path.jerk import PathJerks
 from graspforce.planning.path.joint_path import follow_object_path
 from graspforce.planning.path.knots import PathKnots
 from graspforce.planning.path.paths import JointPath, ObjectPath, knot_grid
@@ -41,6 +43,7 @@ from graspforce.planning.trajectory import Trajectory
 _MAX_RESOLVES = 3  # programs solved again on one grid with larger margins
 _MAX_REFINEMENTS = 2  # times that the grid is doubled
 _JOINT_PATH_SHARE = 0.4  # of the work: the joints' path, approximately
+_SMALL_EXCESS = 0.1  # of jerk: a smaller one tightens its limits everywhere, not only where it is
 _MARGIN_FACTOR = 1.2  # margin over excess: a new motion has slightly different values between the knots
 
 
@@ -78,11 +81,12 @@ def plan_along(
     if not run.budget.should_continue(JOINT_PATH, 0.0):
         return run.budget.failure()
     if isinstance(task, IdealTask):
-        return _plan_on_grids(task, partial(PathKnots.of_ideal_fingers, task, path), run)
+        return _plan_on_grids(task, partial(PathKnots.of_ideal_fingers, task, _eased(task, path)), run)
     joints = follow_object_path(task, path, q_start)
     if isinstance(joints, PlanFailure):
         return joints
-    return _plan_on_grids(task, partial(PathKnots.of_grasp, task, path, joints), run, partial(_collision, path, joints))
+    knots_at = partial(PathKnots.of_grasp, task, _eased(task, path), _eased_joints(task, joints))
+    return _plan_on_grids(task, knots_at, run, partial(_collision, path, joints))
 
 
 def plan_fingers_along(
@@ -110,7 +114,8 @@ def plan_fingers_along(
     run = _Run.begin(settings, callback)
     if not run.budget.should_continue(JOINT_PATH, 0.0):
         return run.budget.failure()
-    return _plan_on_grids(task, partial(PathKnots.of_fingers, path), run, partial(_collision, None, path))
+    knots_at = partial(PathKnots.of_fingers, _eased_joints(task, path))
+    return _plan_on_grids(task, knots_at, run, partial(_collision, None, path))
 
 
 @dataclass(eq=False, slots=True)
@@ -156,7 +161,8 @@ def _plan_on_grids(
     for doubling in range(_MAX_REFINEMENTS + 1):
         if not run.budget.should_continue(PATH, _JOINT_PATH_SHARE):
             return run.budget.failure()
-        knots = knots_at(knot_grid(run.intervals * 2**doubling))
+        count = run.intervals * 2**doubling
+        knots = knots_at(even_knots(count) if task.acceleration_limits.has_jerk else knot_grid(count))
         beyond_limits = _joint_limit_failure(task, knots)
         if beyond_limits is not None:
             return beyond_limits
@@ -183,6 +189,16 @@ def _collision(path: ObjectPath | None, joints: JointPath, task: Task, intervals
     s = np.linspace(0.0, 1.0, collisions.SAMPLES_PER_INTERVAL * intervals + 1)
     poses = None if path is None else path.points(s)
     return path_collision(scene_of_task(task), s, joints.points(s).q, None if poses is None else (poses.p, poses.R))
+
+
+def _eased(task: Task, path: ObjectPath) -> ObjectPath:
+    """Return a path, eased at its ends if the task limits jerk."""
+    return EasedObjectPath(path) if task.acceleration_limits.has_jerk else path
+
+
+def _eased_joints(task: Task, path: JointPath) -> JointPath | EasedJointPath:
+    """Return a path of joints, eased at its ends if the task limits jerk."""
+    return EasedJointPath(path) if task.acceleration_limits.has_jerk else path
 
 
 def _check_path(task: Task, path: ObjectPath | JointPath) -> None:
@@ -228,16 +244,20 @@ def _joint_limit_failure(task: Task, knots: PathKnots) -> PlanFailure | None:
 def _solve_and_check(task: Task, knots: PathKnots, dynamics: PathDynamics, run: _Run) -> Plan | PlanFailure:
     """Solve and check on one grid, with larger margins where the check finds an excess."""
     margins = LimitMargins.slip_only(dynamics, task.slip_margin if isinstance(task, ObjectTask) else 0.0)
+    jerks, jerk_share = PathJerks.of_path(task, knots), np.ones(len(knots.s) - 1)
     plan: Plan | None = None
     for _ in range(_MAX_RESOLVES + 1):
         if not run.budget.should_continue(PATH, 1.0 - (1.0 - _JOINT_PATH_SHARE) * 0.5**run.solves):
             return run.budget.failure()
-        solution = program.solve(dynamics, margins, seconds=run.budget.remaining)
+        if jerks is None:
+            solution = program.solve(dynamics, margins, seconds=run.budget.remaining)
+        else:
+            solution = program.solve_with_jerk(dynamics, margins, jerks, jerk_share, run.budget.remaining)
         run.solves += 1
         run.record_time("building", 0.0 if solution is None else solution.seconds)
         if solution is None and run.budget.remaining <= 0.0:
             continue  # the next round reports the end of the budget
-        times = None if solution is None else knot_times(knots.s, solution.b, solution.a)
+        times = None if solution is None else knot_times(knots.s, solution.b, solution.a, jerks is None)
         if solution is None or times is None:
             break
         plan = _unchecked_plan(task, knots, dynamics, solution, times, run)
@@ -249,6 +269,7 @@ def _solve_and_check(task: Task, knots: PathKnots, dynamics: PathDynamics, run: 
             run.budget.should_continue(CHECK, 1.0)
             return plan
         margins = _increase_margins(task, margins, over)
+        jerk_share = _smaller_share(jerk_share, np.maximum(jerk_excess(plan), 0.0))
     if plan is not None:
         return PlanFailure(UNSOLVED, _check_failure_text(plan.check))
     static_failure = find_static_failure(task, knots, range(len(knots.s)))
@@ -272,10 +293,11 @@ def _unchecked_plan(
     contacts = (points.p_OC, points.R_OC, points.p_OC_s * rate[:, None])
     states = Trajectory(times, q, v, acc, tau, f, at.p, at.R, twist, acceleration, *contacts).frozen()
     unchecked = PlanCheck.not_made(run.settings.tolerance)
-    return Plan(task, states, unchecked, solution.optimality_gap, run.statistics(solution), arrays.freeze(knots.s))
+    s = ease(knots.s)[0] if task.acceleration_limits.has_jerk else knots.s
+    return Plan(task, states, unchecked, solution.optimality_gap, run.statistics(solution), arrays.freeze(s))
 
 
-def knot_times(s: Array, b: Array, a: Array) -> Array | None:
+def knot_times(s: Array, b: Array, a: Array, rests: bool = True) -> Array | None:
     """Return the times at which the knots are passed, ∫ds/√b with a linear between knots, s.
 
     Gauss–Legendre quadrature of 16 points. Next to a knot at rest, where 1/√b is infinite, it is in the root of the distance.
@@ -284,6 +306,7 @@ def knot_times(s: Array, b: Array, a: Array) -> Array | None:
         s: (K,) path parameters of the knots.
         b: (K,) ṡ² at the knots, 1/s².
         a: (K,) s̈ at the knots, 1/s².
+        rests: whether b is zero at both ends.
 
     Returns:
         (K,) times, or None if the motion would stop on its way.
@@ -292,9 +315,13 @@ def knot_times(s: Array, b: Array, a: Array) -> Array | None:
     x, weight = np.polynomial.legendre.leggauss(16)
     u, weight = (1.0 + x) / 2.0, weight / 2.0
     durations = np.empty(len(step))
-    inner = slice(1, -1)
+    inner = slice(1, -1) if rests else slice(None)
     h = step[inner, None]
-    square = b[1:-2, None] + h * u * (2.0 * a[1:-2, None] + slope[inner, None] * u)  # 1/s²
+    square = b[:-1][inner, None] + h * u * (2.0 * a[:-1][inner, None] + slope[inner, None] * u)  # 1/s²
+    if not rests:
+        if float(square.min()) <= 0.0:
+            return None
+        return np.concatenate([[0.0], np.cumsum((h / np.sqrt(square)) @ weight)])
     ends = np.array([[a[0], slope[0], step[0]], [-a[-1], slope[-1], step[-1]]])[:, :, None]
     leaving = ends[:, 0] * 2.0 + ends[:, 1] * u**2  # b over the distance from rest, 1/s²
     if min(float(square.min(initial=1.0)), float(leaving.min())) <= 0.0:
@@ -324,6 +351,16 @@ def _increase_margins(task: Task, margins: LimitMargins, over: LimitExcess) -> L
     slip, normal, torque = (increase(x) for x in (over.slip, over.normal, over.torque))
     forces = (margins.slip + slip, margins.normal + normal, margins.torque + torque)
     return LimitMargins(*forces, speed, margins.acceleration + acceleration)
+
+
+def _smaller_share(share: Array, excess: Array) -> Array:
+    """Return the shares (K − 1,) of the limits of jerk, less the excess there, and everywhere less a small largest one.
+
+    Jerk varies most in the intervals where it changes its sign, and these differ from program to program.
+    """
+    largest = float(excess.max())
+    everywhere = 1.0 + largest if largest < _SMALL_EXCESS else 1.0
+    return np.asarray(share / (everywhere * (1.0 + _MARGIN_FACTOR * excess)))
 
 
 def _check_failure_text(check: PlanCheck) -> str:

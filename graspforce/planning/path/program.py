@@ -19,12 +19,15 @@ Accelerations of object and joints, which are linear in b and a too, stay within
 The pseudo-inverse of G and its null space at each knot eliminate G f = w and most of the forces: f = G⁺ w + N λ. The time is
 made of second-order cones, cᵢ² ≤ bᵢ and (cᵢ + cᵢ₊₁) dᵢ ≥ 1. With the discretisation "left" a is constant between knots instead,
 bᵢ₊₁ − bᵢ = 2 Δᵢ aᵢ, which is of first order, as in TOPP-RA. Sources: Verscheure et al. (2009), Lobo et al. (1998).
+
+Limits of jerk need several programs; see `graspforce.planning.path.jerk`. The path is then eased at its ends, where b is free.
 """
 
 from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -38,11 +41,14 @@ from graspforce.planning.loads import wrench_scale
 from graspforce.planning.path import program_rows
 from graspforce.planning.path.dynamics import PathAccelerations, PathDynamics
 from graspforce.planning.path.force_map import ForceMap
-from graspforce.planning.path.program_rows import Discretisation, LimitMargins, ProgramRows, speed_profile
+from graspforce.planning.path.jerk import PathJerks
+from graspforce.planning.path.program_rows import Discretisation, LimitMargins, ProgramRows
 
 _TOLERANCE = 1e-8  # of the cone solver; the plan is checked separately
 _SCALE_RANGE = (0.01, 100.0)  # range of scaled b in which the program is well scaled; outside it is solved again
 _MAX_SCALINGS = 4
+_MAX_TANGENTS = 12  # programs with limits of jerk
+_LEAST_GAIN = 1e-3  # relative: a smaller decrease of the duration ends them
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -68,6 +74,48 @@ class PathSolution:
     seconds: float
 
 
+class _Tangent(NamedTuple):
+    """Limits of jerk with tangents at a motion.
+
+    Args:
+        jerks: the limits along the path.
+        b_0: (K,) b of the motion, 1/s².
+        share: (K − 1,) part of the limits that is used in each interval.
+    """
+
+    jerks: PathJerks
+    b_0: Array
+    share: Array
+
+
+def solve_with_jerk(
+    dynamics: PathDynamics, margins: LimitMargins, jerks: PathJerks, share: Array, seconds: float = np.inf
+) -> PathSolution | None:
+    """Return the fastest motion along an eased path with limits of jerk; a local optimum. None if the solver finds none.
+
+    Args:
+        dynamics: equations of motion at K knots.
+        margins: margins of the limits.
+        jerks: limits of jerk.
+        share: (K − 1,) part of the limits of jerk that is used in each interval.
+        seconds: time limit of each attempt of the solver, s.
+    """
+    best: PathSolution | None = None
+    b_0, total = jerks.even_rate(), 0.0
+    for _ in range(_MAX_TANGENTS):
+        found = _solve_on_scales(dynamics, margins, "trapezoid", seconds, _Tangent(jerks, b_0, share))
+        if found is None:
+            break
+        total += found.seconds
+        gain = np.inf if best is None else 1.0 - found.duration / best.duration
+        if gain > 0.0:
+            best = replace(found, optimality_gap=np.nan)
+        b_0 = found.b
+        if gain < _LEAST_GAIN:
+            break
+    return None if best is None else replace(best, seconds=total)
+
+
 def solve(
     dynamics: PathDynamics, margins: LimitMargins, discretisation: Discretisation = "trapezoid", seconds: float = np.inf
 ) -> PathSolution | None:
@@ -83,17 +131,24 @@ def solve(
         InvalidInput: nothing limits the motion.
     """
     fields.check_choice(discretisation, "discretisation", ("trapezoid", "left"))
+    return _solve_on_scales(dynamics, margins, discretisation, seconds, None)
+
+
+def _solve_on_scales(
+    dynamics: PathDynamics, margins: LimitMargins, discretisation: Discretisation, seconds: float, tangent: _Tangent | None
+) -> PathSolution | None:
+    """Return the solution with scales that suit it; None if the solver does not converge."""
     forces = ForceMap.from_dynamics(dynamics)
     b_scale, force_scale = _choose_scales(dynamics)
     total = 0.0  # s
     solution: PathSolution | None = None
     for _ in range(_MAX_SCALINGS):
-        rows = ProgramRows(dynamics.s, forces.null.shape[2], b_scale, force_scale)
-        solution = _solve_scaled(rows, dynamics, margins, discretisation, forces, seconds)
+        rows = ProgramRows(dynamics.s, forces.null.shape[2], b_scale, force_scale, tangent is None)
+        solution = _solve_scaled(rows, dynamics, margins, discretisation, forces, seconds, tangent)
         if solution is None:
             return None
         total += solution.seconds
-        largest = float((solution.b / np.maximum(speed_profile(dynamics.s), 1e-300))[1:-1].max()) / b_scale
+        largest = float((solution.b / np.maximum(rows.profile, 1e-300))[1:-1].max()) / b_scale
         if _SCALE_RANGE[0] <= largest <= _SCALE_RANGE[1]:
             break
         b_scale *= largest
@@ -107,6 +162,7 @@ def _solve_scaled(
     discretisation: Discretisation,
     forces: ForceMap,
     seconds: float,
+    tangent: _Tangent | None,
 ) -> PathSolution | None:
     """Return the solution of the program with the scales of ``rows``; None if the solver does not converge."""
     K, steps = len(dynamics.s), np.diff(dynamics.s)
@@ -121,6 +177,8 @@ def _solve_scaled(
     if dynamics.contacts is not None:
         program_rows.add_normal_forces(rows, dynamics.contacts, margins, forces)
         cone_sizes = program_rows.add_friction_cones(rows, dynamics.contacts, margins, forces)
+    if tangent is not None:
+        cone_sizes += tangent.jerks.add_to(rows, tangent.b_0, tangent.share)
     if dynamics.accelerations is not None:
         program_rows.add_object_accelerations(rows, dynamics.accelerations, margins)
     program_rows.add_time(rows)
@@ -141,7 +199,8 @@ def _solve_scaled(
     residual = cost + answer.z @ A  # zero within the solver's tolerance
     gap = (abs(duration + float(right @ answer.z)) + float(np.abs(residual) @ np.abs(answer.x))) / duration
     b, a = np.maximum(answer.x[:K], 0.0) * rows.b_scales, answer.x[K : 2 * K] * rows.b_scale
-    b[[0, -1]] = 0.0
+    if rows.rests:
+        b[[0, -1]] = 0.0
     lam = answer.x[2 * K : rows.c].reshape(K, forces.null.shape[2]) * rows.force_scale
     f = forces.forces(b, a, lam)
     return PathSolution(b, a, f, duration / np.sqrt(rows.b_scale), gap, answer.iterations, solver_seconds)

@@ -73,16 +73,18 @@ class ProgramRows:
         d: number of λ of a knot.
         b_scale: scale of b and a, 1/s².
         force_scale: scale of forces, N.
+        rests: whether b is zero at both ends; a path that is eased there has another b.
     """
 
-    def __init__(self, s: Array, d: int, b_scale: float, force_scale: float) -> None:
+    def __init__(self, s: Array, d: int, b_scale: float, force_scale: float, rests: bool = True) -> None:
         K = len(s)
         self.K, self.b_scale, self.force_scale = K, b_scale, force_scale
-        self.profile = speed_profile(s)
+        self.rests, self.profile = rests, speed_profile(s) if rests else np.ones(K)
+        self.timed = np.arange(1, K - 1) if rests else np.arange(K)  # knots with a c
         self.b_scales = b_scale * np.where(self.profile > 0.0, self.profile, 1.0)  # of each knot, 1/s²
         self.lam = 2 * K + d * np.arange(K)[:, None] + np.arange(d)  # places of each knot's λ
         self.c = 2 * K + K * d
-        self.d = self.c + K - 2
+        self.d = self.c + len(self.timed)
         self.size = self.d + K - 1
         self._parts: dict[RowKind, list[tuple[sparse.coo_matrix, Array]]] = {"equal": [], "least": [], "cone": []}
 
@@ -139,7 +141,7 @@ class ProgramRows:
         """Return A, the right-hand sides and the cones, in Clarabel's order.
 
         Args:
-            force_cones: sizes of the friction cones; the other cones have size 3.
+            force_cones: sizes of the first cones, those of friction and jerk; the other cones have size 3.
         """
         parts = [part for kind in self._parts.values() for part in kind]
         A = sparse.vstack([matrix for matrix, _ in parts], format="csc")
@@ -150,7 +152,7 @@ class ProgramRows:
 
 
 def add_motion(rows: ProgramRows, steps: Array, discretisation: Discretisation) -> None:
-    """Add b = 0 at both ends, and b' = 2a between the knots.
+    """Add b = 0 at both ends of a path that rests there, and b' = 2a between the knots.
 
     Args:
         rows: the program.
@@ -159,8 +161,8 @@ def add_motion(rows: ProgramRows, steps: Array, discretisation: Discretisation) 
     """
     K = rows.K
     i = np.arange(K - 1)
-    ends = np.array([0, K - 1])
-    rows.add("equal", np.arange(2), ends, np.ones(2), np.zeros(2))
+    if rows.rests:
+        rows.add("equal", np.arange(2), np.array([0, K - 1]), np.ones(2), np.zeros(2))
     left, right = (steps, steps) if discretisation == "trapezoid" else (2.0 * steps, 0.0 * steps)
     columns = np.stack([i + 1, i, K + i, K + i + 1])
     b = rows.b_scales / rows.b_scale
@@ -297,29 +299,30 @@ def add_friction_cones(rows: ProgramRows, contacts: ContactSet, margins: LimitMa
 def add_time(rows: ProgramRows) -> None:
     """Add cᵢ² ≤ bᵢ as ‖(2c, b − 1)‖ ≤ b + 1, and (cᵢ + cᵢ₊₁) dᵢ ≥ 1 as ‖(2, c + c⁺ − d)‖ ≤ c + c⁺ + d, scaled.
 
-    At rest b and c are zero. The ends have no c, since their cones would have no interior.
+    At rest b and c are zero. Ends at rest have no c, since their cones would have no interior.
 
     Args:
         rows: the program.
     """
     K, size = rows.K, np.sqrt(rows.profile)
-    i, inner = np.arange(K - 2), np.arange(1, K - 1)
-    one = np.ones(K - 2)
+    timed = rows.timed
+    i, one = np.arange(len(timed)), np.ones(len(timed))
     rows.add(
         "cone",
         np.concatenate([3 * i, 3 * i + 1, 3 * i + 2]),
-        np.concatenate([inner, rows.c + i, inner]),
+        np.concatenate([timed, rows.c + i, timed]),
         np.concatenate([-one, -2.0 * one, -one]),
-        np.tile([1.0, 0.0, -1.0], K - 2),
+        np.tile([1.0, 0.0, -1.0], len(timed)),
     )
     scale = size[:-1] + size[1:]  # of c + c⁺, and the inverse of that of d
     j = np.arange(K - 1)
-    left, right, every = j[1:], j[:-1], np.ones(K - 1)  # intervals with a c on that side
+    first, every = int(timed[0]), np.ones(K - 1)
+    left, right = j[first:], j[: K - 1 - first]  # intervals with a c on that side
     before, after = size[:-1][left] / scale[left], size[1:][right] / scale[right]
     rows.add(
         "cone",
         np.concatenate([3 * left, 3 * right, 3 * j, 3 * left + 2, 3 * right + 2, 3 * j + 2]),
-        np.concatenate([rows.c + left - 1, rows.c + right, rows.d + j] * 2),
+        np.concatenate([rows.c + left - first, rows.c + right + 1 - first, rows.d + j] * 2),
         np.concatenate([-before, -after, -every, -before, -after, every]),
         np.tile([0.0, 2.0, 0.0], K - 1),
     )

@@ -55,7 +55,7 @@ def _default(field: dataclasses.Field[Any]) -> object:
     return value if isinstance(value, _PLAIN) and np.isfinite(0.0 if isinstance(value, str) else value) else None
 
 
-_limits = dict.fromkeys(("linear", "angular", "joints"), float)
+_limits = dict.fromkeys(("linear", "angular", "joints", "linear_jerk", "angular_jerk", "joint_jerk"), float)
 _by_joint = dict.fromkeys(("coulomb", "stribeck", "stribeck_velocity", "viscous"), Numbers)
 _errors = ("friction_error", "position_error", "normal_error", "torque_error")
 
