@@ -65,7 +65,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """
     parser.add_argument("--hands", default=",".join(HANDS), help="names of the hands")
     parser.add_argument("--objects", type=int, default=len(OBJECTS), help="number of objects")
-    parser.add_argument("--seeds", type=int, default=2, help="number of seeds of each world")
+    parser.add_argument("--seeds", type=int, default=5, help="number of seeds of each world (default: 5)")
 
 
 def run(path: Path, options: argparse.Namespace) -> None:

@@ -30,7 +30,9 @@ from graspforce.planning.regrasp import (
     RegraspTask,
     StartOptions,
     find_regrasp_start,
+    goal_from_steps,
     plan_regrasp,
+    plan_regrasp_to,
 )
 from graspforce.simulation import Plant, build_scene
 from graspforce.simulation.loops.regrasp_loop import simulate_regrasp
@@ -53,6 +55,9 @@ class RegraspOptions:
         object_axis_H: (3,) direction of the object's z axis in H at the start, of any length but zero.
         slip_margin: that the forces keep, N.
         budget: of the search, s.
+        to: (3,) translation to a goal pose in H, m, in place of the turn about an axis; None for that turn.
+        turn: (3,) rotation vector to the goal pose in H, rad.
+        friction_error: part of the friction by which it may be less than stated.
 
     Raises:
         InvalidInput: names the option and the allowed values.
@@ -64,6 +69,9 @@ class RegraspOptions:
     object_axis_H: tuple[float, ...]
     slip_margin: float
     budget: float
+    to: tuple[float, ...] | None = None
+    turn: tuple[float, ...] = (0.0, 0.0, 0.0)
+    friction_error: float = 0.0
 
     def __post_init__(self) -> None:
         for name, axis in (("--axis", self.axis_H), ("--object-axis", self.object_axis_H)):
@@ -73,11 +81,16 @@ class RegraspOptions:
             raise InvalidInput("--angle", self.angle, "an angle other than zero, rad")
         arrays.check_number(self.slip_margin, "--slip-margin", minimum=0.0)
         arrays.check_number(self.budget, "--budget", above=0.0)
+        if arrays.check_number(self.friction_error, "--friction-error", minimum=0.0) >= 1.0:
+            raise InvalidInput("--friction-error", self.friction_error, "less than 1")
+        if self.to is not None and not any(self.to + self.turn):
+            raise InvalidInput("--to", self.to, "different from zero, or give --turn")
 
     @property
     def control(self) -> ControlSettings:
         """Settings of the controller."""
-        return ControlSettings(slip_margin=self.slip_margin, gravity_H=self.grasp.gravity_H)
+        errors = {"friction_error": self.friction_error}
+        return ControlSettings(slip_margin=self.slip_margin, gravity_H=self.grasp.gravity_H, **errors)
 
     @property
     def orientation(self) -> Array:
@@ -131,19 +144,19 @@ def _start(options: RegraspOptions, console: Console) -> Grasp:
 
 def _plan(options: RegraspOptions, grasp: Grasp, console: Console) -> RegraspPlan | PlanFailure:
     """Plan object moves and finger steps with a progress bar."""
-    path = PosePath.turn(grasp.p_HO, grasp.R_HO, np.array(options.axis_H) / np.linalg.norm(options.axis_H), options.angle)
     settings = RegraspSettings(budget=options.budget, seed=options.grasp.seed)
     with _progress(console) as bar:
         task = bar.add_task("Planning finger steps", total=1.0)
 
         def on_progress(progress: RegraspProgress) -> None:
-            turned = math.degrees(abs(options.angle) * progress.u / progress.length)
-            bar.update(
-                task,
-                completed=progress.u / progress.length,
-                description=f"Planning finger steps: {turned:.0f}°, {progress.tried} steps tried",
-            )
+            share = progress.u / progress.length
+            description = f"Planning finger steps: {100.0 * share:.0f} % of the path, {progress.tried} steps tried"
+            bar.update(task, completed=share, description=description)
 
+        if options.to is not None:
+            return plan_regrasp_to(goal_from_steps(grasp, options.to, options.turn, options.control), settings, on_progress)
+        axis = np.array(options.axis_H) / np.linalg.norm(options.axis_H)
+        path = PosePath.turn(grasp.p_HO, grasp.R_HO, axis, options.angle)
         return plan_regrasp(RegraspTask(grasp, path, options.control), settings, on_progress)
 
 

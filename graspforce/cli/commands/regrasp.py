@@ -28,6 +28,15 @@ def regrasp(
     object_axis: Annotated[
         str, typer.Option(metavar="X,Y,Z", help="Direction of the object's z axis at the start, in the hand's base frame.")
     ] = "0,0,1",
+    to: Annotated[
+        str | None, typer.Option(metavar="DX,DY,DZ", help="Bring the object to this displacement, m, on any path found.")
+    ] = None,
+    turn: Annotated[
+        str | None, typer.Option(metavar="RX,RY,RZ", help="And to this rotation vector in the base frame, rad, on any path.")
+    ] = None,
+    friction_error: Annotated[
+        float, typer.Option(metavar="PART", help="Part by which the friction may be less; forces hold for all of the interval.")
+    ] = 0.0,
     slip_margin: Annotated[float, typer.Option(metavar="N", help="Slip margin that the forces keep, N.")] = 0.3,
     budget: Annotated[float, typer.Option(metavar="S", help="Time after which the search ends, s.")] = 120.0,
     video: Annotated[
@@ -39,6 +48,9 @@ def regrasp(
     as_json: AsJson = False,
 ) -> None:
     """Turn a held object with finger steps: one finger lets go, moves and joins again while the others hold.
+
+    With --to or --turn, the object goes to a pose, on whichever path the search finds: straight, position and orientation one
+    after the other, or the longer way round.
 
     The search draws places at random: another --seed or a longer --budget may find a plan where one search found none.
 
@@ -57,6 +69,9 @@ def regrasp(
         object_axis_H=parse_vector(object_axis, "--object-axis"),
         slip_margin=slip_margin,
         budget=budget,
+        to=None if to is None and turn is None else parse_vector(to or "0,0,0", "--to"),
+        turn=parse_vector(turn or "0,0,0", "--turn"),
+        friction_error=friction_error,
     )
     output = RunFiles(video, frames, plots, force)
     raise typer.Exit(0 if run_regrasp.run(options, output, result_console(as_json)) else 1)

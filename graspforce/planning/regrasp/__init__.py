@@ -5,6 +5,7 @@ executes them.
 """
 
 from graspforce.planning.regrasp.controller import RegraspController, RegraspPhase
+from graspforce.planning.regrasp.goal_paths import RegraspGoal, goal_from_steps, plan_regrasp_to
 from graspforce.planning.regrasp.plan_regrasp import plan_regrasp
 from graspforce.planning.regrasp.pose_path import PosePath
 from graspforce.planning.regrasp.records import FingerStage, ObjectStage, RegraspPlan, RegraspSettings, RegraspTask
@@ -18,6 +19,7 @@ __all__ = [
     "ObjectStage",
     "PosePath",
     "RegraspController",
+    "RegraspGoal",
     "RegraspPhase",
     "RegraspPlan",
     "RegraspProgress",
@@ -25,5 +27,7 @@ __all__ = [
     "RegraspTask",
     "StartOptions",
     "find_regrasp_start",
+    "goal_from_steps",
     "plan_regrasp",
+    "plan_regrasp_to",
 ]

@@ -1,4 +1,4 @@
-"""The largest slip margin with which fingers hold an object at rest."""
+"""The largest slip margin with which fingers hold an object at rest, for all errors of friction and normals of the settings."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from graspforce.contact.contact import ContactSet
 from graspforce.contact.motion import BodyMotion
+from graspforce.control.forces.worst_cases import least_friction
 from graspforce.control.settings import ControlSettings
 from graspforce.core.arrays import Array
 from graspforce.force.largest_margin import LargestMargin
@@ -24,7 +25,7 @@ class HoldingMargin:
         hand: the hand; its torque limits bound the forces.
         body: the object.
         path: path of the object.
-        settings: friction reserve and gravity of the controller.
+        settings: friction reserve, errors of friction and normals, and gravity of the controller.
         limit: largest margin of interest, N, > 0.
     """
 
@@ -43,7 +44,8 @@ class HoldingMargin:
         J = hand.contact_jacobian(state.q, state.fingers, contacts, motion.p_HO, motion.R_HO)
         tau_u = hand.gravity_torque(state.q, self._settings.gravity_H)
         limits = np.array([contacts.min_normal, contacts.max_normal])
-        friction = np.array([contacts.mu * (1.0 - self._settings.friction_reserve), contacts.gamma])
+        mu, gamma = least_friction(contacts, self._settings)
+        friction = np.array([mu * (1.0 - self._settings.friction_reserve), gamma])
         solver = self._solver(state.fingers, contacts, w, J, tau_u)
         margin = solver.solve(w, J, tau_u, contacts.p_OC, contacts.R_OC, friction, limits)
         return -1.0 if margin is None else margin

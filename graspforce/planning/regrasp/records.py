@@ -27,7 +27,8 @@ class RegraspTask:
     Args:
         grasp: the grasp at the start, with all the fingers that may be used.
         path: path of the object; it begins at the object's pose in the grasp.
-        control: settings of the controller; slip margin, friction reserve and gravity apply to the plan.
+        control: settings of the controller; slip margin, friction reserve, errors of friction and normals, and gravity apply
+            to the plan.
         collisions: obstacles and margin of the collision checks; None for no checks.
 
     Raises:
