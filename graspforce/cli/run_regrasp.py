@@ -89,8 +89,8 @@ class RegraspOptions:
     @property
     def control(self) -> ControlSettings:
         """Settings of the controller."""
-        errors = {"friction_error": self.friction_error}
-        return ControlSettings(slip_margin=self.slip_margin, gravity_H=self.grasp.gravity_H, **errors)
+        gravity_H, error = self.grasp.gravity_H, self.friction_error
+        return ControlSettings(slip_margin=self.slip_margin, gravity_H=gravity_H, friction_error=error)
 
     @property
     def orientation(self) -> Array:

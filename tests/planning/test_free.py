@@ -373,10 +373,9 @@ def test_duration_converges_with_the_grid() -> None:
 def test_invalid_task_names_its_field() -> None:
     pose = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]]), np.tile(np.eye(3), (2, 1, 1))
     straight = block()
-    contacts = [Contact([x, 0, 0], [-np.sign(x), 0, 0], 0.5, model="soft", torsional_friction=0.01) for x in (-0.02, 0.02)]
-    soft = IdealTask(straight.body, ContactSet.stack(contacts))
-    with pytest.raises(InvalidInput, match=r"contacts\[0\].model = 'soft'.*a point contact with friction"):
-        plan_free(soft, *pose)
+    slippery = [Contact([x, 0, 0], [-np.sign(x), 0, 0], model="frictionless") for x in (-0.02, 0.02)]
+    with pytest.raises(InvalidInput, match=r"contacts\[0\].model = 'frictionless'.*a point or soft contact with friction"):
+        plan_free(IdealTask(straight.body, ContactSet.stack(slippery)), *pose)
     with pytest.raises(InvalidInput, match="plan_fingers plans fingers alone"):
         plan_free(FingerTask(load("dlr_hit2")), *pose)
     with pytest.raises(InvalidInput, match="plan_free plans a move of an object"):

@@ -131,7 +131,6 @@ BAD = [
     ("poses", {name: value for name, value in PATH.items() if name != "poses"}),
     ("postures", {**FINGERS, "postures": [[0.0] * 3] * 2}),
     ("postures", {**FINGERS, "postures": FINGERS["postures"][:1]}),
-    ("postures", {**FINGERS, "postures": [*FINGERS["postures"], FINGERS["postures"][0]]}),
     ("body", {**FINGERS, "body": PATH["body"]}),
     ("obstacles[0].shape", {**FINGERS, "obstacles": [{"position": [0, 0, 0], "quaternion": [1, 0, 0, 0]}]}),
     ("obstacles[0].shape.radius", {**FINGERS, "obstacles": [{**POSE, "shape": {"type": "sphere", "radius": -1.0}}]}),

@@ -28,6 +28,12 @@ derivatives are equal too. This is the CasADi form of the rolling law of `graspf
 
     c̈_F + ω̇_F × r n + ω_F × (r n)˙ = p̈ + α × x + ω × ẋ
 
+A soft contact has a moment m about n, and M = m n is a variable, too. With the length γ of its torsional friction the cone is
+
+    (μ f_n − margin)² ≥ ‖f‖² − f_n² + (μ m/γ)²
+
+and the motors also bear J_ωᵀ M. If it rolls, it does not spin: n·(ω_F − ω) = 0, and its time derivative vanishes.
+
 Closed forms give r n: −r/ρ x on a sphere of radius ρ about O; the same with the part of x across the axis on a cylinder; r R n₀
 on a plane; and from the gradient of its function on a superquadric. The distance from the surface stays constant.
 Joint rates and accelerations are separate variables: this keeps every equation, and its second derivatives, short.
@@ -160,29 +166,35 @@ class _RollingSurface:
         along_d = ca.dot(c_d, self.axis) + (1.0 + self.ratio) * ca.dot(x, axis_d)  # across the axis c = (1 + r/ρ) x
         return -share * (c_d - along * axis_d - along_d * self.axis)
 
+    def normal(self, x: ca.SX) -> ca.SX:
+        """Return n for the contact at x."""
+        return self.axis if self.kind in (FIXED, ON_PLANE) else self.tip_to_contact(x) / self.radius
+
     def normal_force(self, x: ca.SX, f: ca.SX) -> ca.SX:
         """Return f_n of the scaled force f in H."""
-        if self.kind in (FIXED, ON_PLANE):
-            return ca.dot(self.axis, f)
-        return ca.dot(self.tip_to_contact(x), f) / self.radius
+        return ca.dot(self.normal(x), f)
 
 
 @lru_cache(maxsize=64)
-def finger_equations(hand: Hand, finger: str, independent: tuple[int, ...], surface: str = FIXED) -> Equations:
+def finger_equations(
+    hand: Hand, finger: str, independent: tuple[int, ...], surface: str = FIXED, is_soft: bool = False
+) -> Equations:
     """Return the equations of a finger that holds the object.
 
     Rows: 9 of the contact, the joints' torques and then their rates relative to the limits, f_n, and the cone. The rows of the
-    contact are c and its two derivatives if it does not roll; else velocities, accelerations, and the arm x.
+    contact are c and its two derivatives if it does not roll; else velocities, accelerations, and the arm x. A soft contact has
+    further rows after these: velocity and acceleration of its spin if it rolls, and M − m n.
     Variables: y, v, a of the object (6 each), y, v, a of the independent joints, q, q̇, q̈ of the others, f, T, and x if the
-    contact rolls. The dependent joints' q is not scaled if the contact does not roll.
+    contact rolls, and M and m of a soft contact over γ. The dependent joints' q is not scaled if the contact does not roll.
     Parameters: scales, gravity_H, p₀, c₀ at R₀, the normal or axis at R₀, r, r/ρ, torque and speed limits, μ, slip margin, h/T;
-    on a superquadric also R₀ by columns, its half-axes and its exponents.
+    γ of a soft contact; on a superquadric also R₀ by columns, its half-axes and its exponents.
 
     Args:
         hand: the hand.
         finger: its finger.
         independent: places of the independent joints among the finger's joints.
         surface: how the contact moves: FIXED, ON_PLANE, ON_SPHERE, ON_CYLINDER or ON_SUPERQUADRIC.
+        is_soft: whether the contact is soft.
     """
     model = symbolic_finger(hand, finger, hand.neutral)
     m, k = len(model.joints), len(independent)
@@ -194,6 +206,8 @@ def finger_equations(hand: Hand, finger: str, independent: tuple[int, ...], surf
     length, turn, time, joint, force = (parameters.take() for _ in range(5))
     gravity, p_0, c_0, axis, radius, ratio = (parameters.take(size) for size in (3, 3, 3, 3, 1, 1))
     torque_limit, speed_limit, mu, margin, step = (parameters.take(size) for size in (m, m, 1, 1, 1))
+    gamma = parameters.take() if is_soft else ca.SX(0)
+    moment, twist_moment = ca.SX.sym("M", 3 * is_soft), ca.SX.sym("m", 1 * is_soft)
 
     order = [*independent, *(i for i in range(m) if i not in independent)]
     back = [order.index(i) for i in range(m)]
@@ -213,13 +227,22 @@ def finger_equations(hand: Hand, finger: str, independent: tuple[int, ...], surf
     else:
         contact = _rolling_contact(at, tip, under, arm, length, time)
     inward, f_H = under.tip_to_contact(x), force * f
+    if is_soft and surface != FIXED:
+        contact += _spin(at, tip, inward / radius, under.tip_to_contact_rate(x, tip.c_d, at.omega) / radius, time)
+    if is_soft:
+        contact.append(moment - twist_moment * under.normal(x))
     tau = model.torque(q, q_d, q_dd, gravity) + J[:3, :].T @ f_H + J[3:, :].T @ ca.cross(inward, f_H)
+    if is_soft:
+        tau += J[3:, :].T @ (force * gamma * moment)
     peak = (q_d + q_dd * step * T * time / 2.0) / speed_limit
     f_n = under.normal_force(x, f)
     cone = (mu * f_n - margin / force) ** 2 - ca.dot(f, f) + f_n**2
+    if is_soft:
+        cone -= (mu * twist_moment) ** 2
     g = ca.vertcat(*contact, tau / torque_limit, peak, f_n, cone)
-    variables = ca.vertcat(*states, e, e_d, e_dd, d, d_d, d_dd, f, T, arm)
-    return make_equations(f"{_identifier(hand.name)}_{_identifier(finger)}_{surface}", variables, parameters.all, g)
+    variables = ca.vertcat(*states, e, e_d, e_dd, d, d_d, d_dd, f, T, arm, moment, twist_moment)
+    kind = f"soft_{surface}" if is_soft else surface
+    return make_equations(f"{_identifier(hand.name)}_{_identifier(finger)}_{kind}", variables, parameters.all, g)
 
 
 def _fixed_contact(at: _ObjectMotion, tip: _TipMotion, c_0: ca.SX, length: ca.SX, time: ca.SX) -> list[ca.SX]:
@@ -247,39 +270,58 @@ def _rolling_contact(
     return [velocity * time / length, acceleration * time**2 / length, (tip.c + inward) / length - arm]
 
 
+def _spin(at: _ObjectMotion, tip: _TipMotion, n: ca.SX, n_d: ca.SX, time: ca.SX) -> list[ca.SX]:
+    """Return velocity and acceleration of the finger's spin over the object, scaled."""
+    omega, alpha = tip.omega - at.omega, tip.alpha - at.alpha
+    return [ca.dot(n, omega) * time, (ca.dot(n, alpha) + ca.dot(n_d, omega)) * time**2]
+
+
 @lru_cache(maxsize=64)
-def ideal_finger_equations() -> Equations:
+def ideal_finger_equations(is_soft: bool = False) -> Equations:
     """Return the equations of an ideal finger.
 
-    Rows: f_n and the cone. Variables: y_r (3), f (3). Parameters: scales, n at R₀, μ, slip margin.
+    Rows: f_n and the cone; M − m n of a soft contact before them. Variables: y_r (3), f (3), and M and m of a soft contact.
+    Parameters: scales, n at R₀, μ, slip margin.
+
+    Args:
+        is_soft: whether the contact is soft.
     """
     y_r, f = ca.SX.sym("y", 3), ca.SX.sym("f", 3)
+    moment, twist_moment = ca.SX.sym("M", 3 * is_soft), ca.SX.sym("m", 1 * is_soft)
     parameters = _Parameters()
     _, turn, _, _, force = (parameters.take() for _ in range(5))
     n, mu, margin = parameters.take(3), parameters.take(), parameters.take()
-    f_n = ca.dot(_ObjectMotion.rotation_only(y_r, turn).C @ n, f)
+    n_H = _ObjectMotion.rotation_only(y_r, turn).C @ n
+    f_n = ca.dot(n_H, f)
     cone = (mu * f_n - margin / force) ** 2 - ca.dot(f, f) + f_n**2
-    return make_equations("ideal", ca.vertcat(y_r, f), parameters.all, ca.vertcat(f_n, cone))
+    if not is_soft:
+        return make_equations("ideal", ca.vertcat(y_r, f), parameters.all, ca.vertcat(f_n, cone))
+    g = ca.vertcat(moment - twist_moment * n_H, f_n, cone - (mu * twist_moment) ** 2)
+    return make_equations("ideal_soft", ca.vertcat(y_r, f, moment, twist_moment), parameters.all, g)
 
 
 @lru_cache(maxsize=64)
-def object_equations(is_rolling: tuple[bool, ...]) -> Equations:
+def object_equations(is_rolling: tuple[bool, ...], is_soft: tuple[bool, ...] = ()) -> Equations:
     """Return the object's equations of motion, Newton's and Euler's laws about O.
 
-    Rows: 3 of forces and 3 of moments. Variables: y_r, v, a (3 + 6 + 6), the contact forces in H, and x of rolling contacts.
-    Parameters: scales, gravity_H, mass, p_OM at R₀, inertia at R₀ (9), p_OC at R₀ of each contact that does not roll, a length.
+    Rows: 3 of forces and 3 of moments. Variables: y_r, v, a (3 + 6 + 6), the contact forces in H, x of rolling contacts, and
+    M/γ of soft ones. Parameters: scales, gravity_H, mass, p_OM at R₀, inertia at R₀ (9), p_OC at R₀ of each contact that does
+    not roll, a length, and γ of each soft contact.
 
     Args:
         is_rolling: whether each contact rolls.
+        is_soft: whether each contact is soft; none by default.
     """
     y_r, v, a = ca.SX.sym("y", 3), ca.SX.sym("v", 6), ca.SX.sym("a", 6)
     forces = [ca.SX.sym(f"f{i}", 3) for i in range(len(is_rolling))]
     arms = [ca.SX.sym(f"x{i}", 3) for i in range(sum(is_rolling))]
+    moments = [ca.SX.sym(f"M{i}", 3) for i in range(sum(is_soft))]
     parameters = _Parameters()
     length, turn, time, _, force = (parameters.take() for _ in range(5))
     gravity, mass, p_OM, inertia = (parameters.take(size) for size in (3, 1, 3, 9))
     fixed_arms = [parameters.take(3) for _ in range(len(is_rolling) - len(arms))]
     lever = parameters.take()
+    gammas = [parameters.take() for _ in moments]
     at = _ObjectMotion.from_variables((ca.vertcat(ca.SX.zeros(3), y_r), v, a), ca.SX.zeros(3), (length, turn, time))
     c, I_0 = at.C @ p_OM, ca.reshape(inertia, 3, 3)
     p_dd_M = at.p_dd + ca.cross(at.alpha, c) + ca.cross(at.omega, ca.cross(at.omega, c))
@@ -291,9 +333,11 @@ def object_equations(is_rolling: tuple[bool, ...]) -> Equations:
     for f, rolls in zip(forces, is_rolling, strict=True):
         total += force * f
         moment += ca.cross(length * next(rolling) if rolls else at.C @ next(fixed), force * f)
+    for M, gamma in zip(moments, gammas, strict=True):
+        moment += force * gamma * M
     g = ca.vertcat(total - force_needed, (moment - moment_needed) / lever) / force
-    name = "object_" + "".join("r" if rolls else "s" for rolls in is_rolling)
-    return make_equations(name, ca.vertcat(y_r, v, a, *forces, *arms), parameters.all, g)
+    name = "object_" + "".join("r" if rolls else "s" for rolls in is_rolling) + f"_{len(moments)}"
+    return make_equations(name, ca.vertcat(y_r, v, a, *forces, *arms, *moments), parameters.all, g)
 
 
 @lru_cache(maxsize=1)

@@ -53,8 +53,9 @@ def plan_free(
     contacts at the goal are free. The result is a local optimum, without a proof that no faster move exists.
 
     Args:
-        task: a hand with an object, or an object between ideal fingers. All contacts are point contacts with friction, and
-            every finger has three joints or more.
+        task: a hand with an object, or an object between ideal fingers. All contacts are point or soft contacts with
+            friction. Every finger has three joints or more, and four or more if its soft contact rolls, because it must not
+            spin.
         p_HO: (2, 3) positions of O's origin in H at start and goal, m.
         R_HO: (2, 3, 3) orientations at start and goal, less than half a turn apart.
         q_start: (n,) posture near the start, rad; the neutral posture by default. Ideal fingers have none.
@@ -128,8 +129,8 @@ def _check_task(task: Task) -> None:
     if task.acceleration_limits.has_jerk:
         raise InvalidInput("acceleration_limits", "a limit of jerk", "limits of accelerations; plan_along limits jerk, too")
     for i, model in enumerate(task.contacts.models):
-        if model is not ContactModel.POINT or task.contacts.mu[i] <= 0.0:
-            raise InvalidInput(f"contacts[{i}].model", model.value, "a point contact with friction")
+        if model is ContactModel.FRICTIONLESS or task.contacts.mu[i] <= 0.0:
+            raise InvalidInput(f"contacts[{i}].model", model.value, "a point or soft contact with friction")
     if isinstance(task, GraspTask):
         _check_fingers(task)
 
@@ -146,8 +147,11 @@ def _check_fingers(task: GraspTask) -> None:
             allowed = "at most 1 if tips roll: the surface has edges otherwise"
             raise InvalidInput("body.shape.exponents", shape.exponents, allowed)
     owner: dict[int, str] = {}
-    for name in task.fingers:
+    for i, name in enumerate(task.fingers):
         joints = task.hand.finger(name).joints
+        if len(joints) < 4 and task.is_rolling[i] and task.contacts.gamma[i] > 0.0:
+            allowed = "fingers of at least four joints if their soft contacts roll, which must not spin"
+            raise InvalidInput("fingers", name, allowed)
         if len(joints) < 3:
             raise InvalidInput("fingers", name, "fingers of at least three joints, which can move their tips in any direction")
         for joint in joints:

@@ -75,13 +75,19 @@ class ObjectMoveProgram:
         omega_O, alpha_O = ((w[:, None] @ R)[:, 0] for w in (omega, alpha))
         points = self._contact_points(PosePoints(p, p_d, p_dd, R, omega_O, alpha_O), joints)
         f_H = scales.force * x[:, meaning.forces].reshape(M, -1, 3)
+        contacts = self.task.contacts
+        padded = np.zeros((M, len(contacts), 4))
+        padded[:, :, :3] = np.einsum("kij,kcjl,kci->kcl", R, points.R_OC, f_H)
+        for i, places in enumerate(meaning.moments):
+            if len(places):
+                padded[:, i, 3] = scales.force * contacts.gamma[i] * x[:, places[3]]
         trajectory = Trajectory(
             times=T * x[-1, layout.duration] * np.arange(M) / (M - 1),
             q=joints.q,
             v=joints.q_s,
             a=joints.q_ss,
             tau=np.zeros((M, 0)),
-            f=np.einsum("kij,kcjl,kci->kcl", R, points.R_OC, f_H).reshape(M, -1),
+            f=padded.reshape(M, -1)[:, contacts.columns],
             p_HO=p,
             R_HO=R,
             twist=np.hstack([p_d, omega]),
@@ -122,7 +128,7 @@ def object_move_program(
     """Return the program of the move from the first of some states to the last, with these as its first guess.
 
     Args:
-        task: the task: point contacts with friction, fingers of at least three joints.
+        task: the task: contacts with friction, fingers of at least three joints.
         knots: K + 1 states, evenly spaced in time.
         workspace: bounds of the object's pose on its way.
         separation: pairs of bodies to keep apart; none by default.
@@ -151,6 +157,7 @@ def object_move_program(
 
     weights = np.zeros(layout.size)
     weights[variables.forces] = 2.0 * _FORCE_WEIGHT
+    weights[[places[3] for places in variables.moments if len(places)]] = 2.0 * _FORCE_WEIGHT
     start, goal = variables.start_values, variables.goal_values
     program = Program(
         structure=ProgramStructure(layout, K, tuple(equations), start, goal),
@@ -182,8 +189,13 @@ def _guess(task: ObjectTask, variables: MoveVariables, knots: Trajectory, r: Arr
             _insert_joints(variables, finger, k, states, x)
         if finger.is_rolling:
             x[:, finger.arm(layout)] = (knots.p_OC[:, None, i] @ knots.R_HO.swapaxes(1, 2))[:, 0] / scales.length
-    f = knots.f.reshape(len(x), len(task.contacts), 3)
-    x[:, variables.forces] = np.einsum("kij,kcjl,kcl->kci", knots.R_HO, knots.R_OC, f).reshape(len(x), -1) / scales.force
+    f = task.contacts.pad(knots.f)
+    axes = np.einsum("kij,kcjl->kcil", knots.R_HO, knots.R_OC)  # of the contacts, in H
+    x[:, variables.forces] = np.einsum("kcil,kcl->kci", axes, f[:, :, :3]).reshape(len(x), -1) / scales.force
+    for i, places in enumerate(variables.moments):
+        if len(places):
+            moment = f[:, i, 3] / (scales.force * task.contacts.gamma[i])
+            x[:, places] = np.column_stack([moment[:, None] * axes[:, i, :, 2], moment])
     return x
 
 
@@ -238,7 +250,10 @@ def _ideal_finger_rows(task: IdealTask, variables: MoveVariables, i: int, bounds
     turn, forces = variables.layout.part("y")[3:6], variables.forces[3 * i : 3 * i + 3]
     n = variables.R_0 @ task.contacts.R_OC[i, :, 2]
     numbers = [variables.scales.parameter_values, n, np.array([task.contacts.mu[i], task.slip_margin])]
-    return ideal_finger_equations(), [turn, forces], numbers, *bounds
+    moment = variables.moments[i]
+    zeros = np.zeros(3 if len(moment) else 0)
+    limits = tuple(np.concatenate([zeros, side]) for side in bounds)
+    return ideal_finger_equations(len(moment) > 0), [turn, forces, moment], numbers, limits[0], limits[1]
 
 
 def _finger_rows(task: GraspTask, variables: MoveVariables, i: int, bounds: tuple[Array, Array], step: float) -> _Rows:
@@ -261,15 +276,19 @@ def _finger_rows(task: GraspTask, variables: MoveVariables, i: int, bounds: tupl
         hand.velocity_limit[joints],
         np.array([task.contacts.mu[i], task.slip_margin, step]),
     ]
-    shape = task.body.shape
+    moment, shape = variables.moments[i], task.body.shape
+    is_soft = len(moment) > 0
+    if is_soft:
+        numbers.append(task.contacts.gamma[[i]])
+    rows = np.zeros(9 + 3 * is_soft + 2 * (is_soft and surface != FIXED))  # of the contact
     if surface == ON_SUPERQUADRIC and isinstance(shape, Superquadric):
         numbers += [R_0.T.ravel(), shape.axes, shape.exponents]  # R₀ by columns
     return (
-        finger_equations(hand, task.fingers[i], finger.independent, surface),
-        [*pose, *independent, *dependent, forces, duration, finger.arm(layout)],
+        finger_equations(hand, task.fingers[i], finger.independent, surface, is_soft),
+        [*pose, *independent, *dependent, forces, duration, finger.arm(layout), moment],
         numbers,
-        np.concatenate([np.zeros(9), hand.torque_lower[joints] / limit, -one, bounds[0]]),
-        np.concatenate([np.zeros(9), one, one, bounds[1]]),
+        np.concatenate([rows, hand.torque_lower[joints] / limit, -one, bounds[0]]),
+        np.concatenate([rows, one, one, bounds[1]]),
     )
 
 
@@ -299,9 +318,12 @@ def _object_rows(task: ObjectTask, variables: MoveVariables) -> _Rows:
         (R_0 @ body.inertia @ R_0.T).ravel(),
         (contacts.p_OC[~task.is_rolling] @ R_0.T).ravel(),
         np.array([lever]),
+        contacts.gamma[contacts.gamma > 0.0],
     ]
-    equations = object_equations(tuple(task.is_rolling.tolist()))
-    return equations, [turn, v, a, variables.forces, *arms], numbers, np.zeros(6), np.zeros(6)
+    is_soft = tuple(len(places) > 0 for places in variables.moments)
+    equations = object_equations(tuple(task.is_rolling.tolist()), is_soft)
+    moments = [places[:3] for places in variables.moments]
+    return equations, [turn, v, a, variables.forces, *arms, *moments], numbers, np.zeros(6), np.zeros(6)
 
 
 def _separation_rows(

@@ -55,6 +55,14 @@ class SuperquadricSurface:
         n_d = N @ ca.inv_minor(ca.SX.eye(3) - self.radius * N) @ c_d_O
         return ca.cross(omega, inward) + self.radius * self.R @ n_d
 
+    def normal(self, x: ca.SX) -> ca.SX:
+        """Return n in H.
+
+        Args:
+            x: (3,) contact from O, in H, m.
+        """
+        return self.R @ self._normal(x)[0]
+
     def normal_force(self, x: ca.SX, f: ca.SX) -> ca.SX:
         """Return f_n of the scaled force f in H.
 

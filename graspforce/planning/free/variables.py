@@ -15,6 +15,7 @@ from graspforce.planning.nlp.layout import KnotLayout
 from graspforce.planning.task import GraspTask, ObjectTask
 from graspforce.planning.trajectory import Trajectory
 
+_SPIN_LENGTH = 0.03  # m: weighs spin against sliding
 _FINGER_LENGTH = 0.05  # m: typical distance of a fingertip from its joints
 
 
@@ -41,7 +42,7 @@ class FingerVariables:
     arm_start: int
 
     @classmethod
-    def choose(cls, hand: Hand, name: str, q: Array, first_coordinate: int) -> FingerVariables:
+    def choose(cls, hand: Hand, name: str, q: Array, first_coordinate: int, spin_axis: Array | None = None) -> FingerVariables:
         """Return the variables of a finger, whose independent joints are chosen for the best-conditioned dependent ones.
 
         Args:
@@ -49,10 +50,12 @@ class FingerVariables:
             name: the finger.
             q: (n,) posture at the start, rad.
             first_coordinate: place of its first independent joint in y.
+            spin_axis: (3,) normal in H of a soft contact that rolls, which does not spin; None for another contact.
         """
         joints = hand.finger(name).joints
-        J = hand.point_jacobian(q, name, hand.tip_pose(q, name)[0])[:3][:, list(joints)]
-        independent = choose_independent_joints(J, len(joints) - 3)
+        J = hand.point_jacobian(q, name, hand.tip_pose(q, name)[0])[:, list(joints)]
+        J = J[:3] if spin_axis is None else np.vstack([J[:3], _SPIN_LENGTH * spin_axis @ J[3:]])
+        independent = choose_independent_joints(J, len(joints) - len(J))
         dependent_joints = tuple(joint for i, joint in enumerate(joints) if i not in independent)
         coordinates = tuple(range(first_coordinate, first_coordinate + len(independent)))
         return cls(tuple(joints[i] for i in independent), independent, dependent_joints, coordinates, False, 0, 0)
@@ -96,6 +99,7 @@ class MoveVariables:
         scales: their scales.
         fingers: variables of each finger; none for ideal fingers.
         forces: (3 N,) places of the contact forces, in H.
+        moments: for each contact the places of M/γ, in H, and of m/γ, if it is soft, otherwise none.
         p_0: (3,) reference position of O, m.
         R_0: (3, 3) reference orientation.
         posture: (n,) posture at the start, rad, of joints that do not move.
@@ -105,6 +109,7 @@ class MoveVariables:
     scales: VariableScales
     fingers: tuple[FingerVariables, ...]
     forces: Indices
+    moments: tuple[Indices, ...]
     p_0: Array
     R_0: Array
     posture: Array
@@ -120,8 +125,10 @@ class MoveVariables:
         fingers: list[FingerVariables] = []
         coordinates, algebraic = 6, 0
         if isinstance(task, GraspTask):
-            for name in task.fingers:
-                fingers.append(FingerVariables.choose(task.hand, name, knots.q[0], coordinates))
+            spins = task.is_rolling & (task.contacts.gamma > 0.0)
+            for i, name in enumerate(task.fingers):
+                axis = knots.R_HO[0] @ knots.R_OC[0, i, :, 2] if spins[i] else None
+                fingers.append(FingerVariables.choose(task.hand, name, knots.q[0], coordinates, axis))
                 coordinates += len(fingers[-1].independent_joints)
         independent_count = coordinates
         for i, finger in enumerate(fingers):
@@ -133,11 +140,18 @@ class MoveVariables:
                 fingers[i] = replace(finger, start=algebraic)
                 algebraic += 3 * m
         count = len(task.contacts)
-        layout = KnotLayout(coordinates, algebraic + 3 * count, coordinates - independent_count)
+        soft = task.contacts.gamma > 0.0
+        first_moment = algebraic + 3 * count
+        size = first_moment + 4 * int(soft.sum())
+        layout = KnotLayout(coordinates, size, coordinates - independent_count)
         p_0, R_0 = (knots.p_HO[0] + knots.p_HO[-1]) / 2.0, knots.R_HO[(len(knots.times) - 1) // 2]
         scales = _choose_scales(knots, R_0, float(np.linalg.norm(task.contacts.p_OC, axis=1).max()))
         forces = layout.z(range(algebraic, algebraic + 3 * count))
-        return cls(layout, scales, tuple(fingers), forces, p_0, R_0, knots.q[0])
+        starts = first_moment + 4 * (np.cumsum(soft) - 1)
+        moments = tuple(
+            layout.z(range(start, start + 4 * bool(flag))) for start, flag in zip(starts.tolist(), soft, strict=True)
+        )
+        return cls(layout, scales, tuple(fingers), forces, moments, p_0, R_0, knots.q[0])
 
     @property
     def start_values(self) -> tuple[int, ...]:
