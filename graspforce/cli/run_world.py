@@ -198,6 +198,7 @@ def world_table(world: World) -> Table:
         ("Coulomb friction of the joints", world.joint_friction > 0.0, f"{world.joint_friction:.3g} N·m"),
         ("motor torques", world.torque_error > 0.0, f"up to {100 * world.torque_error:.2g} % off"),
         ("stiffness of drives", world.stiffness_error > 0.0, f"up to {100 * world.stiffness_error:.2g} % off"),
+        ("delay, backlash and losses of drives", world.drive_error > 0.0, f"up to {100 * world.drive_error:.2g} % off"),
         ("delay", world.sensors.latency > 0.0, f"{1e3 * world.sensors.latency:.3g} ms"),
         ("encoder noise", world.sensors.encoder_noise > 0.0, f"{1e3 * world.sensors.encoder_noise:.2g} mrad"),
         ("constant encoder error", world.encoder_offset > 0.0, f"up to {1e3 * world.encoder_offset:.2g} mrad"),

@@ -52,6 +52,7 @@ class WorldOptions:
             surplus at rest.
         torque_error: largest relative error of a motor's torque.
         stiffness_error: largest relative error of a drive's stiffness and damping.
+        drive_error: largest relative error of a drive's delay, backlash and losses.
         pad_torsion: torsional friction length of the fingertips, m.
         lose: "FINGER:TIME" of each finger whose drives are off from a time on, s.
 
@@ -74,6 +75,7 @@ class WorldOptions:
     joint_friction: str | None = None
     torque_error: float | None = None
     stiffness_error: float | None = None
+    drive_error: float | None = None
     pad_torsion: float | None = None
     lose: tuple[str, ...] = ()
 
@@ -119,7 +121,7 @@ class WorldOptions:
             error = getattr(self, option)
             if error is not None:
                 changes[name] = 1.0 + arrays.check_number(error, f"--{option.replace('_', '-')}", above=-1.0)
-        for name in ("torque_error", "stiffness_error", "pad_torsion"):
+        for name in ("torque_error", "stiffness_error", "drive_error", "pad_torsion"):
             if getattr(self, name) is not None:
                 changes[name] = arrays.check_number(getattr(self, name), f"--{name.replace('_', '-')}", minimum=0.0)
         if self.centre_error is not None:

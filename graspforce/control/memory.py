@@ -8,6 +8,7 @@ from graspforce.contact.contact import ContactSet
 from graspforce.contact.kinematics import TipContactState
 from graspforce.control.contacts.contact_change import ForceRamp
 from graspforce.control.contacts.slip_reflex import ReflexMemory
+from graspforce.control.drives.torque_factors import TorqueFactors
 from graspforce.control.friction.friction_compensation import FrictionMemory
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
@@ -30,6 +31,7 @@ class ControlMemory:
         ramp: limits of the forces of contacts that change; None if none changes.
         spin: (N, 2) angle and rate of each soft pad's spin on the object, rad and rad/s; None if no finger follows spins.
         margin: slip margin that the last forces kept, N, after a change of contacts; None if it is that of the settings.
+        torque_factors: estimated errors of the drives; None before the first step, or for drives without stated errors.
     """
 
     integral: Array
@@ -43,15 +45,16 @@ class ControlMemory:
     ramp: ForceRamp | None = None
     spin: Array | None = None
     margin: float | None = None
+    torque_factors: TorqueFactors | None = None
 
     def to_dict(self) -> JsonRecord:
         """Return a plain record: `integral`, contact `frames`, `creep`, `force`, and `touched` for the tip contacts.
 
         It has `friction` only with a compensation of joint friction, `reflex` only after slip, `stop` only in a stop,
-        `ramp` only while contacts change, `spin` only with soft pads whose spin the fingers follow, and `margin` only after
-        a change of contacts, until the margin of the settings is reached.
+        `ramp` only while contacts change, `spin` only with soft pads whose spin the fingers follow, `margin` only after a
+        change of contacts, until the margin of the settings is reached, and `torque_factors` only with drives that state errors.
         """
-        parts = {"friction": self.friction, "reflex": self.reflex, "ramp": self.ramp}
+        parts = {"friction": self.friction, "reflex": self.reflex, "ramp": self.ramp, "torque_factors": self.torque_factors}
         return {
             "integral": self.integral.tolist(),
             "frames": self.R_OC.tolist(),
@@ -75,10 +78,10 @@ class ControlMemory:
         Raises:
             InvalidInput: a field is missing, unknown or out of range; names it with its path.
         """
-        optional = ["force", "touched", "friction", "reflex", "stop", "ramp", "spin", "margin"]
+        optional = ["force", "touched", "friction", "reflex", "stop", "ramp", "spin", "margin", "torque_factors"]
         values = fields.check_record(record, field, required=["integral", "frames", "creep"], optional=optional)
         count, given = len(contacts), (values.get(name) for name in optional)
-        force, touched, friction, reflex, stop, ramp, spin, margin = given
+        force, touched, friction, reflex, stop, ramp, spin, margin, factors = given
         return cls(
             arrays.check_array(values["integral"], f"{field}.integral", (6,)),
             arrays.check_rotations(values["frames"], f"{field}.frames", count),
@@ -91,4 +94,5 @@ class ControlMemory:
             None if ramp is None else ForceRamp.from_dict(ramp, count, f"{field}.ramp"),
             None if spin is None else arrays.check_array(spin, f"{field}.spin", (count, 2)),
             None if margin is None else arrays.check_number(margin, f"{field}.margin", minimum=0.0),
+            None if factors is None else TorqueFactors.from_dict(factors, f"{field}.torque_factors"),
         )

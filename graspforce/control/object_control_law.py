@@ -34,6 +34,8 @@ from graspforce.control.contacts.lost_drives import LostDrives
 from graspforce.control.contacts.mobility import MassFactor, compute_accelerations, compute_damped_accelerations, has_full_rank
 from graspforce.control.contacts.pad_spin import next_spin, spin_acceleration
 from graspforce.control.drives.drive_commands import DriveMap
+from graspforce.control.drives.drive_margin import torque_sensitivity
+from graspforce.control.drives.torque_factors import TorqueFactorEstimator, TorqueFactors
 from graspforce.control.forces.drive_allowance import DriveAllowance, drive_allowance
 from graspforce.control.forces.force_planner import ContactPlan, ForcePlanner
 from graspforce.control.forces.margin_solver import MarginResult, MarginSolver
@@ -85,6 +87,7 @@ class ObjectControlLaw:
         self._M_factor = MassFactor.from_body(grasp.body)
         self._creep_decay = math.exp(-settings.period / settings.creep_time)
         self._drives = DriveMap(hand, settings.position_error, settings.period)
+        self._factors = TorqueFactorEstimator(hand.drives, self._gains[2])
         self._compiled: CompiledStep | None = None
         self._clearance = ClearanceQuery(grasp, settings.obstacles)
         if settings.clearance_steps:
@@ -201,6 +204,9 @@ class ObjectControlLaw:
         if self._friction is not None and friction_memory is not None:
             hold = friction_memory, targets.error, memory.integral, integral, free.is_at_rest
             integral, friction_memory = self._friction.hold_integral(*hold)
+        factors = None
+        if self._factors.is_active and plan.lost is None:
+            factors, integral = self._learn_factors(memory.torque_factors, state, targets, result.tau, integral)
         if result.has_warnings or (conditions is not None and conditions.has_evidence):
             warnings += self._warnings.of_contacts(result.creep_distance, targets.rolling.gap, conditions)
             warnings += self._warnings.of_joints(state.q)
@@ -214,8 +220,20 @@ class ObjectControlLaw:
         if self._constraints.spin_damping > 0.0:
             spin = next_spin(memory.spin, memory.tip_contacts, targets.tip_contacts, targets.R_OC, self.settings.period)
         margin = self._planner.kept_margin(plan, forces)
-        parts = last_forces, targets.tip_contacts, friction_memory, plan.reflex, stop, ramp, spin, margin
+        parts = last_forces, targets.tip_contacts, friction_memory, plan.reflex, stop, ramp, spin, margin, factors
         return command, ControlMemory(integral, targets.R_OC, result.creep, *parts)
+
+    def _learn_factors(
+        self, factors: TorqueFactors | None, state: GraspState, targets: StepTargets, tau: Array, integral: Array
+    ) -> tuple[TorqueFactors, Array]:
+        """Return the estimated errors of the drives after a step, and the integral that moved along with the torques."""
+        grasp, R_HO = self.grasp, state.object.R_HO
+        A, B, _ = self._constraints.constraint_rows(targets.rolling)
+        masses = grasp.hand.model.mass_matrix(state.q), grasp.body.mass_matrix()
+        in_O = torque_sensitivity(A, B, *masses, self._constraints, grasp.contacts).acceleration
+        in_H = (R_HO @ in_O.reshape(2, 3, -1)).reshape(in_O.shape)
+        moved, integral = self._factors.step(factors, in_H, tau, integral)
+        return moved, limit_integral(integral, self._gains[2], self._integral_limits)
 
     def _compute_free_torques(
         self, memory: ControlMemory, state: GraspState, targets: StepTargets, desired: DesiredMotion, lost: LostDrives | None

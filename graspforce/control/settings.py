@@ -209,7 +209,8 @@ class ControlSettings:
         Args:
             sensors: rate, latency and noise of the joints' sensors.
             base: the other settings. Default: `ControlSettings()`.
-            targets: required margins, and largest noise. Default: `LoopTargets()`.
+            targets: required margins, and largest noise. Default: `LoopTargets()`, with an integral three times as fast for
+                drives that state errors.
             drives: drives of the hand. Their delay counts as latency. A drive that takes set-points less often than the
                 controller computes them holds each one longer, on average by half of the difference. The required delay margin
                 is larger by that time. Default: drives without delay that take every set-point.
@@ -219,7 +220,7 @@ class ControlSettings:
         """
         base = cls() if base is None else base
         if drives is not None:
-            targets = LoopTargets() if targets is None else targets
+            targets = _targets_for(drives) if targets is None else targets
             sensors = dataclasses.replace(sensors, latency=sensors.latency + drives.delay)
             hold = drives.longest_hold - max(base.period, 1.0 / sensors.rate)  # s, beyond that of the controller
             targets = dataclasses.replace(targets, delay_margin=targets.delay_margin + max(0.5 * hold, 0.0))
@@ -345,6 +346,13 @@ class SensorSettings(NamedTuple):
     margins: LoopMargins
 
 
+def _targets_for(drives: Drives) -> LoopTargets:
+    """Return requirements on the loop of drives: wrong torques change with the motion, and the integral must follow."""
+    has_errors = drives.values("torque_error").any() or drives.values("stiffness_error").any()
+    return LoopTargets(integral=_DRIVE_INTEGRAL) if has_errors else LoopTargets()
+
+
+_DRIVE_INTEGRAL = 15.0  # 1/s
 _MAX_CLEARANCE_STEPS = 10**6
 _POSITION_DEVIATIONS = 3.0  # standard deviations that count as the largest error
 _LEVER = 0.1  # m: length of a finger, from joint motions to motions of the object

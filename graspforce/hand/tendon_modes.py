@@ -182,6 +182,7 @@ def _scaled_drive(drive: Drive, slope: float) -> Drive:
         stiffness=None if stiffness is None else stiffness / slope**2,
         damping=drive.damping / slope**2,
         backlash=drive.backlash * slope,
+        beyond_limits=drive.beyond_limits * slope,
     )
 
 

@@ -11,6 +11,7 @@ from graspforce.contact.kinematics import TipContactState
 from graspforce.control import ControlMemory
 from graspforce.control.contacts.contact_change import ForceRamp
 from graspforce.control.contacts.slip_reflex import ReflexMemory
+from graspforce.control.drives.torque_factors import TorqueFactors
 from graspforce.control.friction.friction_compensation import FrictionMemory
 from graspforce.core.arrays import Array
 
@@ -63,6 +64,7 @@ class ControlMemoryRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defau
         ramp: limits of the normal forces of contacts that change.
         spin: rotation of the pads about their normals.
         margin: slip margin that the last forces kept, N, after a change of contacts.
+        torque_factors: estimated errors of the drives.
     """
 
     integral: WireVector
@@ -76,6 +78,7 @@ class ControlMemoryRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defau
     ramp: dict[str, Any] | None = None
     spin: WireMatrix | None = None
     margin: float | None = None
+    torque_factors: dict[str, Any] | None = None
 
     @classmethod
     def pack(cls, memory: ControlMemory, binary: bool = False) -> ControlMemoryRecord:
@@ -93,8 +96,9 @@ class ControlMemoryRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defau
         stop = None if memory.stop is None else write(memory.stop)
         ramp = None if memory.ramp is None else memory.ramp.to_dict()
         spin = None if memory.spin is None else write(memory.spin)
+        factors = None if memory.torque_factors is None else memory.torque_factors.to_dict()
         arrays = write(memory.integral), write(memory.R_OC), write(memory.creep)
-        return cls(*arrays, force, tips, friction, reflex, stop, ramp, spin, memory.margin)
+        return cls(*arrays, force, tips, friction, reflex, stop, ramp, spin, memory.margin, factors)
 
     def unpack(self) -> ControlMemory:
         """Return the memory. The values are not checked: they come from the server."""
@@ -106,7 +110,8 @@ class ControlMemoryRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defau
         stop = None if self.stop is None else to_array(self.stop)
         ramp = None if self.ramp is None else ForceRamp.from_dict(self.ramp, len(frames))
         spin = None if self.spin is None else to_array(self.spin, -1, 2)
-        parts = force, tips, friction, reflex, stop, ramp, spin, self.margin
+        factors = None if self.torque_factors is None else TorqueFactors.from_dict(self.torque_factors)
+        parts = force, tips, friction, reflex, stop, ramp, spin, self.margin, factors
         return ControlMemory(to_array(self.integral), frames, creep, *parts)
 
 

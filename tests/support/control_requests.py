@@ -20,6 +20,7 @@ from graspforce.control import (
     GraspState,
     PoseGains,
 )
+from graspforce.control.drives.torque_factors import TorqueFactors
 from graspforce.service import ControlRequest, StreamSetup, StreamState
 from graspforce.service.wire.protocol import JSON, MSGPACK
 from support.box_grasp import make_grasp
@@ -63,7 +64,8 @@ def memory() -> ControlMemory:
     f = np.tile([0.1, -0.05, 1.9], count) + 0.01 * rng.standard_normal(k)  # N
     tip_contacts = TipContactState(GRASP.contacts.p_OC * 1.2, GRASP.contacts.R_OC, GRASP.contacts.p_OC + 1e-5)
     integral, creep = 1e-6 * rng.standard_normal(6), 1e-5 * rng.standard_normal((count, 2))
-    return ControlMemory(integral, GRASP.contacts.R_OC, creep, f, tip_contacts, spin=rng.standard_normal((count, 2)))
+    spin, factors = rng.standard_normal((count, 2)), TorqueFactors(0.01 * rng.standard_normal(HAND.n), integral)
+    return ControlMemory(integral, GRASP.contacts.R_OC, creep, f, tip_contacts, spin=spin, torque_factors=factors)
 
 
 def request(**change: Any) -> ControlRequest:

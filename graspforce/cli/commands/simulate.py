@@ -135,6 +135,9 @@ def simulate(
     stiffness_error: Annotated[
         float | None, typer.Option(metavar="REL", help="Largest error of a drive's stiffness.", rich_help_panel=_WORLD)
     ] = None,
+    drive_error: Annotated[
+        float | None, typer.Option(metavar="REL", help="Largest error of a drive's delay and losses.", rich_help_panel=_WORLD)
+    ] = None,
     pad_torsion: Annotated[
         float | None, typer.Option(metavar="M", help="Torsional friction length of soft pads, m.", rich_help_panel=_WORLD)
     ] = None,
@@ -267,6 +270,7 @@ def simulate(
         joint_friction=joint_friction,
         torque_error=torque_error,
         stiffness_error=stiffness_error,
+        drive_error=drive_error,
         pad_torsion=pad_torsion,
         lose=tuple(lose or ()),
     )

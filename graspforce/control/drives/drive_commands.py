@@ -128,7 +128,8 @@ class DriveMap:
         self._torque_error, self._stiffness_error = drives.values("torque_error"), drives.values("stiffness_error")
         self._largest_current = drives.values("current_limit")
         self.has_losses = bool((self._driving != self._backdriving).any())
-        self._lower, self._upper = hand.q_lower, hand.q_upper
+        beyond = drives.values("beyond_limits")
+        self._lower, self._upper = hand.q_lower - beyond, hand.q_upper + beyond
         self._takes_torque = drives.has_mode("torque", "impedance")
         self._takes_current, self._is_impedance = drives.has_mode("current"), drives.has_mode("impedance")
         self._takes_position, self._is_servo = drives.has_mode(*POSITION_MODES), drives.has_mode("position")

@@ -57,6 +57,7 @@ class DriveDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         rate: set-points that the drive takes per second, Hz; null for every one.
         delay: time from a set-point to its effect, s.
         backlash: play of the gear at the joint, rad.
+        beyond_limits: how far beyond the joint's limits the drive takes positions, rad. A servo makes its torque there, too.
         resistance: of the winding at 25 °C, Ω.
         thermal: heat path of the motor; null if it is unknown.
     """
@@ -76,5 +77,6 @@ class DriveDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rate: Positive | None = None
     delay: NonNegative = 0.0
     backlash: NonNegative = 0.0
+    beyond_limits: NonNegative = 0.0
     resistance: Positive | None = None
     thermal: ThermalDescription | None = None

@@ -42,6 +42,7 @@ class Drive:
         rate: set-points that the drive takes per second, Hz; infinite for every one.
         delay: time from a set-point to its effect, s.
         backlash: play of the gear at the joint, rad.
+        beyond_limits: how far beyond the joint's limits the drive takes positions, rad.
         resistance: of the winding at 25 °C, Ω; None if it is unknown.
         thermal: heat path of the motor; None if it is unknown.
         source: where the numbers come from; empty for the ideal drive.
@@ -60,6 +61,7 @@ class Drive:
     rate: float = np.inf
     delay: float = 0.0
     backlash: float = 0.0
+    beyond_limits: float = 0.0
     resistance: float | None = None
     thermal: ThermalDescription | None = None
     source: str = ""
@@ -99,6 +101,7 @@ class Drive:
             rate=np.inf if entry.rate is None else entry.rate,
             delay=entry.delay,
             backlash=entry.backlash,
+            beyond_limits=entry.beyond_limits,
             resistance=entry.resistance,
             thermal=entry.thermal,
             source=entry.source,

@@ -128,6 +128,7 @@ def known_scene(scene: TableScene, world: World, control: ControlSettings) -> tu
         shape_turn=0.0,
         torque_error=0.0,
         stiffness_error=0.0,
+        drive_error=0.0,
         encoder_offset=0.0,
         camera_outages=(),
         camera_outliers=0.0,

@@ -28,15 +28,16 @@ from graspforce.hand.hand import GRAVITY_PALM_UP
 from graspforce.simulation.plants.plant_options import PlantOptions
 
 MAX_SEED = 2**32 - 1
+_LEAST_EFFICIENCY = 0.05  # of a true gear
 
 _ABOVE_ZERO = ("mass_factor", "friction_factor", "stribeck_velocity")
 _NOT_NEGATIVE = (
     *("tip_offset", "shape_offset", "shape_turn", "joint_friction", "stiction", "viscous_friction"),
     *("pad_torsion", "encoder_offset"),
 )
-_SHARES = ("joint_friction_spread", "torque_error", "stiffness_error", "camera_outliers")  # in [0, 1)
+_SHARES = ("joint_friction_spread", "torque_error", "stiffness_error", "drive_error", "camera_outliers")  # [0, 1)
 # Streams of random numbers: a new quantity gets a new number, so that the others keep their values for a seed.
-_TIPS, _SHAPE, _JOINTS, _MOTORS, _REAL, _DRIVES = range(6)
+_TIPS, _SHAPE, _JOINTS, _MOTORS, _REAL, _DRIVES, _GEARS = range(7)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -61,6 +62,8 @@ class World:
         viscous_friction: viscous friction of the joints, N·m·s/rad.
         torque_error: largest relative deviation of a motor's torque from its command, in [0, 1).
         stiffness_error: largest relative deviation of a drive's stiffness and damping from its description, in [0, 1).
+        drive_error: largest relative deviation of a drive's delay, backlash, and losses in each direction, 1 − η and 1 − η_b,
+            from its description, each with a factor of its own, in [0, 1).
         sensors: rate, latency and noise of the sensors. The simulation delays torques by `sensors.latency`. A camera's bias
             has the length `position_bias` or the angle `angle_bias`, and a random direction.
         encoder_offset: largest constant error of an encoder, rad.
@@ -90,6 +93,7 @@ class World:
     viscous_friction: float = 0.0
     torque_error: float = 0.0
     stiffness_error: float = 0.0
+    drive_error: float = 0.0
     sensors: SensorModel = field(default_factory=SensorModel)
     encoder_offset: float = 0.0
     camera_outages: tuple[tuple[float, float], ...] = ()
@@ -117,6 +121,7 @@ class World:
             viscous_friction: float = ...,
             torque_error: float = ...,
             stiffness_error: float = ...,
+            drive_error: float = ...,
             sensors: SensorModel = ...,
             encoder_offset: float = ...,
             camera_outages: tuple[tuple[float, float], ...] = ...,
@@ -286,17 +291,28 @@ class World:
         )
 
     def true_drives(self, drives: Drives) -> Drives:
-        """Return the true drives of a hand: stiffness and damping of each joint differ by one factor.
+        """Return the true drives of a hand. Stiffness and damping of each joint differ by one factor.
 
         Args:
             drives: drives of the hand's description.
         """
-        rng = self.rng(_DRIVES)
+        rng, gears = self.rng(_DRIVES), self.rng(_GEARS)
         joints = []
         for drive in drives.joints:
             factor = 1.0 + self.stiffness_error * rng.uniform(-1.0, 1.0)
             stiffness = None if drive.stiffness is None else factor * drive.stiffness
-            joints.append(dataclasses.replace(drive, stiffness=stiffness, damping=factor * drive.damping))
+            delay, backlash, *losses = 1.0 + self.drive_error * gears.uniform(-1.0, 1.0, 4)
+            driving, backdriving = np.multiply(losses, [1.0 - drive.efficiency, 1.0 - drive.backdriving_efficiency])
+            true = dataclasses.replace(
+                drive,
+                stiffness=stiffness,
+                damping=factor * drive.damping,
+                delay=delay * drive.delay,
+                backlash=backlash * drive.backlash,
+                efficiency=max(1.0 - driving, _LEAST_EFFICIENCY),
+                backdriving_efficiency=max(1.0 - backdriving, _LEAST_EFFICIENCY),
+            )
+            joints.append(true)
         return Drives(tuple(joints))
 
     def rng(self, *stream: int) -> np.random.Generator:

@@ -99,6 +99,15 @@ def test_gear_at_rest_has_the_error_of_an_unknown_direction():
     np.testing.assert_array_equal(moving.torque_error, 0.0)
 
 
+def test_servos_make_their_torque_beyond_the_joint_limits_as_far_as_they_take_positions():
+    tau = np.full(HAND.n, 0.4)
+    for beyond, share in ((0.0, 0.0), (0.025, 0.5), (0.1, 1.0)):
+        drive = make_drive("position", damping=0.0, beyond_limits=beyond)
+        command = DriveMap(HAND.with_drives(drive)).set_points(tau, HAND.q_upper, np.zeros(HAND.n))
+        np.testing.assert_allclose(8.0 * (command.position - HAND.q_upper), share * tau, atol=1e-12)
+        assert (command.limited == (share < 1.0)).all()
+
+
 def test_currents_and_positions_stay_within_the_limits_of_the_drive():
     tau, q = np.full(HAND.n, 0.5), HAND.q_upper - 0.01  # rad: a servo has 0.01 rad for its spring
     current = DriveMap(HAND.with_drives(make_drive("current", current_limit=0.2))).set_points(tau, q, np.zeros(HAND.n))

@@ -157,3 +157,19 @@ def test_true_drives_differ_within_the_stated_error_and_by_seed():
     assert np.ptp(one) > 0.3
     assert not np.array_equal(one, other)
     np.testing.assert_array_equal(World(seed=1).true_drives(drives).values("stiffness"), 4.0)
+
+
+def test_true_delay_backlash_and_losses_differ_by_factors_of_their_own():
+    drive = Drive(delay=0.01, backlash=0.02, efficiency=0.7, backdriving_efficiency=0.6)
+    true = World(drive_error=0.3, seed=3).true_drives(HAND.with_drives(drive).drives)
+    parts = {
+        "delay": true.values("delay") / 0.01,
+        "backlash": true.values("backlash") / 0.02,
+        "efficiency": (1.0 - true.values("efficiency")) / 0.3,
+        "backdriving_efficiency": (1.0 - true.values("backdriving_efficiency")) / 0.4,
+    }
+    for name, factors in parts.items():
+        assert (np.abs(factors - 1.0) <= 0.3 + 1e-12).all(), name
+        assert np.ptp(factors) > 0.3, name
+    assert len({tuple(factors) for factors in parts.values()}) == 4
+    assert World(drive_error=0.3, seed=3).true_drives(HAND.with_drives(Drive()).drives).is_ideal
