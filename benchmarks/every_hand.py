@@ -1,10 +1,14 @@
 """Hold and move objects with every hand and its drives: python -m benchmarks.every_hand [--save FILE].
 
-Each shipped hand holds a ball, a box and a cylinder of 50 g and moves them by 5 mm at 1 Hz, out and back, in a direction that
-its fingers can move. The controller knows joint positions with 0.1 mrad noise (jaws: 10 µm), the drives of the description, and
-how wrong their constants may be: 30 % in stiffness and damping, and 20 % in the torque constants, which position drives do not
-have. The true drives differ by random amounts up to these errors. Hands whose description has no drives run with all modes:
-servos with 5 N·m/rad (jaws: 5 N/mm) and half the critical damping, and torque constants of 1 N·m/A (jaws: 1 N/A) at the joint.
+Each shipped hand holds a ball, a box and a cylinder of 50 g and moves them by 5 mm at 1 Hz, out and back, in the direction in
+which its fingers can move them farthest. "Travel" is the distance commanded. It is shorter where the fingers cannot move the
+object so far in this grasp, and zero where they cannot move it at all; the table below says why. The controller knows joint
+positions with 0.1 mrad noise (jaws: 10 µm), the drives of the description, and how wrong their constants may be: 30 % in
+stiffness and damping, and 20 % in the torque constants, which position drives do not have. The true drives differ by random
+amounts up to these errors, and by up to 20 % in delay, backlash and the losses of their gears, of which the controller does not
+know. Hands whose description has no drives run with all modes and 500 set-points a second. Their servos have 5 N·m/rad (jaws:
+5 N/mm) and half the critical damping, and take positions up to 0.2 rad beyond the joint's limits; their torque constants are
+1 N·m/A (jaws: 1 N/A) at the joint.
 
 "RMS" is the root mean square distance of the object from its reference after the first second, and "ratio" that to the
 same hand with ideal torque drives of the same rate and delay. "Margin kept" is the fraction of steps in which the true slip
@@ -16,293 +20,188 @@ exist.
 from __future__ import annotations
 
 import argparse
-import json
 import math
-import multiprocessing
 import os
-import time
-import zlib
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
-from functools import cache
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from benchmarks import every_hand_heat, report_page
-from benchmarks.mujoco_loop import EARTH, PALM_UP
-from graspforce import GraspForceError, Hand
-from graspforce.contact import friction
-from graspforce.contact.motion import BodyMotion
-from graspforce.control import ControlSettings, OutputFeedbackController
-from graspforce.control.friction.friction_compensation import FrictionSettings
-from graspforce.core.arrays import Array
-from graspforce.estimation import SensorModel
-from graspforce.geometry import Box, Cylinder, Sphere
-from graspforce.grasp.body import Body
-from graspforce.grasp.grasp import Grasp
-from graspforce.grasp.search import find_grasp, relax_idle_fingers, travel_limits
+from benchmarks import every_hand_drives, every_hand_heat, every_hand_kinds, link_gaps, own_hand, report_page
+from benchmarks.every_hand_drives import OBJECTS, TRAVEL, drive_modes
+from benchmarks.task_records import Record, Task, run_tasks
 from graspforce.hand.descriptions.description import shipped_hands
 from graspforce.hand.descriptions.drive_description import DRIVE_MODES
-from graspforce.hand.drives.drive import Drive
-from graspforce.simulation import World, constant_reference, linear_reference, make_world_plant, simulate_measured
-from graspforce.simulation.campaigns.outcome import judge_run
 
 TITLE = "Every hand and its drives"
-OBJECTS = {"ball": Sphere(0.03), "box": Box([0.05, 0.05, 0.05]), "cylinder": Cylinder(0.025, 0.08)}
-MASS, FRICTION = 0.05, 0.7  # kg
-TRAVEL, PERIOD = 0.005, 1.0  # m, and s
-TORQUE_ERROR, STIFFNESS_ERROR = 0.2, 0.3
-SERVO_STIFFNESS, JAW_STIFFNESS = 5.0, 5000.0  # N·m/rad and N/m
-SERVO_DAMPING = 0.5  # part of the critical damping
-ENCODER_NOISE, JAW_NOISE = 1e-4, 1e-5  # rad and m
-MARGIN = 0.5  # N
-HEAD = ("hand", "drive", "object", "result", "RMS, mm", "ratio", "margin kept")
-Task = tuple[str, str, str]  # hand, mode ("ideal" for ideal torque drives), object
+RECORDS = Path(__file__).parent / "results" / "records" / "every_hand.jsonl"
+HEAD = ("hand", "drive", "object", "result", "travel, mm", "RMS, mm", "ratio", "margin kept")
+PARTS = ("kinds", "drives", "gaps", "squeeze", "limit", "own")
+Results = dict[Task, Record]
+
+_FUNCTIONS = {
+    "drives": every_hand_drives.measure,
+    "gaps": link_gaps.measure_hand,
+    "squeeze": every_hand_heat.compare_grasp,
+    "limit": every_hand_heat.hold_at_limit,
+    "wrist": every_hand_kinds.compare_wrists,
+    "tendon": every_hand_kinds.compare_tendon,
+    "breakaway": every_hand_kinds.open_breakaway,
+    "jaws": every_hand_kinds.lift_with_jaws,
+    "lint": every_hand_kinds.check_lint,
+    "own": own_hand.record_transcript,
+}
 
 
 def main() -> None:
-    """Run all combinations, print the tables, and save the page."""
+    """Run all tasks that the file of results lacks, print the tables, and save the page."""
     parser = report_page.parser("every_hand", __doc__)
     parser.add_argument("--hands", nargs="*", default=shipped_hands(), choices=shipped_hands(), help="hands (default: all)")
-    parser.add_argument("--objects", nargs="*", default=list(OBJECTS), choices=OBJECTS, help="objects (default: all)")
+    parser.add_argument("--parts", nargs="*", default=list(PARTS), choices=PARTS, help="parts of the page (default: all)")
     parser.add_argument("--duration", type=float, default=10.0, help="simulated time of a run, s (default: 10)")
-    parser.add_argument(
-        "--results", type=Path, default=Path("out/every_hand.jsonl"), help="file of results, which is continued"
-    )
+    parser.add_argument("--records", type=Path, default=RECORDS, help="file of results, which is continued")
     parser.add_argument("--slice", type=float, default=math.inf, help="stop after this time, s (default: run to the end)")
     parser.add_argument("--workers", type=int, default=os.cpu_count(), help="number of processes")
-    parser.add_argument("--heat", type=int, default=50, help="number of grasps in the comparison of heat; 0 for none")
+    parser.add_argument("--grasps", type=int, default=6, help="grasps of each hand in the comparison of heat (default: 6)")
     options = parser.parse_args()
-    tasks = [task for hand in options.hands for task in product([hand], drive_modes(hand), options.objects)]
-    results = run_tasks(tasks, options)
-    rows = [table_row(task, results) for task in tasks if task in results]
-    report_page.show(TITLE, HEAD, rows, width=170)
-    summary = summary_lines(results)
-    print("\n".join(summary))
-    parts = ["\n".join(f"- {line}" for line in summary), report_page.table(HEAD, rows, 4)]
-    if options.heat > 0:
-        parts += every_hand_heat.sections(options.heat)
+    tasks = all_tasks(options)
+    results = run_tasks(run_task, tasks, options.records, options.workers, options.slice)
+    parts = sections(tasks, results)
+    print("\n\n".join(parts))
     if options.save:
         report_page.save(options.save, TITLE, __doc__, report_page.facts(f"MuJoCo {mujoco.__version__}"), "\n\n".join(parts))
 
 
-def drive_modes(hand_name: str) -> list[str]:
-    """Return the drives to run a hand with: "ideal", and those of its description or all modes."""
-    return ["ideal", *(DRIVE_MODES[1:] if Hand.load(hand_name).drives.is_ideal else ["described"])]
-
-
-def run_tasks(tasks: list[Task], options: argparse.Namespace) -> dict[Task, dict[str, Any]]:
-    """Return the results of tasks by task: those in the file, and those that are run now and appended to it.
+def all_tasks(options: argparse.Namespace) -> list[Task]:
+    """Return the tasks of the chosen parts: the part's function, and its arguments.
 
     Args:
-        tasks: hand, drive and object of each run.
         options: of the command line.
     """
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    path: Path = options.results
-    path.parent.mkdir(parents=True, exist_ok=True)
-    lines = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-    results = {tuple(line["task"]): line for line in lines if line["duration"] == options.duration}
-    missing = [task for task in tasks if task not in results]
-    end = time.monotonic() + options.slice
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
-    context = multiprocessing.get_context("spawn")
-    with Progress(*columns) as progress, ProcessPoolExecutor(options.workers, context) as pool, path.open("a") as file:
-        bar = progress.add_task("runs", total=len(missing))
-        for start in range(0, len(missing), options.workers):
-            if time.monotonic() > end:
-                break
-            for result in pool.map(run_task, missing[start : start + options.workers], [options.duration] * options.workers):
-                results[tuple(result["task"])] = result
-                file.write(json.dumps(result) + "\n")
-                file.flush()
-                progress.advance(bar)
-    return {task: results[task] for task in tasks if task in results}
-
-
-def run_task(task: Task, duration: float) -> dict[str, Any]:
-    """Run one hand with one drive and object, and return a plain record of the result.
-
-    Args:
-        task: hand, drive and object.
-        duration: simulated time, s.
-    """
-    record: dict[str, Any] = {"task": task, "duration": duration}
-    try:
-        return {**record, **measure(task, duration)}
-    except GraspForceError as error:
-        return {**record, "result": "no grasp" if "grasp" in str(error) else "error", "message": str(error)[:200]}
-
-
-def measure(task: Task, duration: float) -> dict[str, Any]:
-    """Return the measured values of a run.
-
-    Args:
-        task: hand, drive and object.
-        duration: simulated time, s.
-    """
-    hand_name, mode, object_name = task
-    grasp, gravity_H = find_object_grasp(hand_name, object_name), gravity(hand_name)
-    if mode == "ideal":  # as often and as late as the described ones
-        ideal = [Drive(rate=drive.rate, delay=drive.delay) for drive in grasp.hand.drives.joints]
-        grasp = replace(grasp, hand=grasp.hand.with_drives(ideal))
-    elif mode == "described":
-        grasp = replace(grasp, hand=grasp.hand.with_drives([with_errors(drive) for drive in grasp.hand.drives.joints]))
-    else:
-        grasp = replace(grasp, hand=grasp.hand.with_drives(generic_drives(grasp, mode)))
-    slowest = float(grasp.hand.drives.values("rate").min())
-    rate = 1000.0 / max(1, math.ceil(1000.0 / slowest))  # Hz, a part of the plant's rate
-    sensors = SensorModel(encoder_noise=JAW_NOISE if has_jaws(grasp.hand) else ENCODER_NOISE, rate=rate)
-    is_servo = "position" in grasp.hand.drives.modes
-    errors = {} if mode == "ideal" else {"stiffness_error": STIFFNESS_ERROR, "torque_error": 0.0 if is_servo else TORQUE_ERROR}
-    world = World(sensors=sensors, seed=zlib.crc32(hand_name.encode()), **errors)
-    has_losses = bool((grasp.hand.drives.values("efficiency") < 1.0).any())
-    base = ControlSettings(
-        gravity_H=gravity_H, slip_margin=MARGIN, period=1.0 / rate, friction=FrictionSettings() if has_losses else None
-    )
-    settings = ControlSettings.for_sensors(sensors, base, drives=grasp.hand.drives)
-    controller = OutputFeedbackController(grasp, settings.settings, sensors)
-    kept: list[bool] = []
-
-    def compare(plant: Any, command: Any) -> None:
-        contacts = plant.true_contacts()
-        margin = friction.slip_margin(contacts.f, contacts.mu, contacts.gamma)
-        kept.append(bool((margin >= command.guaranteed_margin).all()))
-
-    reference = free_reference(grasp)
-    run = simulate_measured(make_world_plant(world, grasp, gravity_H), controller, reference, duration, world, on_step=compare)
-    outcome = judge_run(run)
-    first = np.searchsorted(run.truth.t, min(1.0, 0.5 * duration))
-    error = np.linalg.norm(run.motion_error[first:], axis=1)
-    rms = 1e3 * float(np.sqrt(np.mean(error**2))) if len(error) else math.inf
-    return {
-        "result": outcome.result,
-        "mode": sorted(set(grasp.hand.drives.modes))[0],
-        "rms": rms,
-        "kept": float(np.mean(kept)),
-        "steps": len(kept),
-        "message": outcome.message,
+    seeds = range(math.ceil(options.grasps / len(OBJECTS)))
+    by_part: dict[str, list[Task]] = {
+        "kinds": [
+            *(("wrist", name) for name in every_hand_kinds.WRIST_HANDS),
+            *(("tendon", seed) for seed in every_hand_kinds.TENDON_SEEDS),
+            ("breakaway",),
+            *(("jaws", name) for name in OBJECTS),
+            ("lint",),
+        ],
+        "drives": [
+            ("drives", hand, mode, name, options.duration)
+            for hand in options.hands
+            for mode, name in product(drive_modes(hand), OBJECTS)
+        ],
+        "gaps": [("gaps", hand, name) for hand, name in product(options.hands, link_gaps.OBJECTS)],
+        "squeeze": [("squeeze", hand, name, seed) for hand, seed, name in product(options.hands, seeds, OBJECTS)],
+        "limit": [("limit", name) for name in every_hand_heat.HOLD_HANDS],
+        "own": [("own", case.name) for case in own_hand.CASES],
     }
+    return [task for part in PARTS if part in options.parts for task in by_part[part]]
 
 
-@cache
-def find_object_grasp(hand_name: str, object_name: str) -> Grasp:
-    """Return the grasp of a hand, always the same.
-
-    Args:
-        hand_name: name of a shipped hand.
-        object_name: one of `OBJECTS`.
-    """
-    body = Body.solid(OBJECTS[object_name], MASS)
-    return relax_idle_fingers(find_grasp(Hand.load(hand_name), body, friction=FRICTION, gravity_H=gravity(hand_name)))
-
-
-def gravity(hand_name: str) -> Array:
-    """Return gravity in H with the palm up, m/s².
+def run_task(task: Task) -> Record:
+    """Return the result of a task.
 
     Args:
-        hand_name: name of a shipped hand.
+        task: the part's function, and its arguments.
     """
-    return PALM_UP if hand_name.startswith("allegro") else EARTH
+    return _FUNCTIONS[task[0]](*task[1:])
 
 
-def with_errors(drive: Drive) -> Drive:
-    """Return a drive with the errors of its constants that the simulated one has.
+def sections(tasks: list[Task], results: Results) -> list[str]:
+    """Return the sections of the page.
 
     Args:
-        drive: drive of a description.
+        tasks: all tasks of the page.
+        results: of those that have run.
     """
-    torque_error = 0.0 if drive.mode == "position" else TORQUE_ERROR
-    return replace(drive, torque_error=torque_error, stiffness_error=STIFFNESS_ERROR)
-
-
-def generic_drives(grasp: Grasp, mode: Any) -> list[Drive]:
-    """Return drives of one mode with servos of the same stiffness and relative damping at every joint.
-
-    Args:
-        grasp: the posture at which the joints' inertias are taken.
-        mode: mode of all drives.
-    """
-    inertias = np.diag(grasp.hand.mass_matrix(grasp.q)).tolist()  # kg·m², for jaws kg
-    stiffness = JAW_STIFFNESS if has_jaws(grasp.hand) else SERVO_STIFFNESS
-    return [
-        with_errors(
-            Drive(
-                mode,
-                torque_constant=1.0,
-                stiffness=stiffness,
-                damping=2.0 * SERVO_DAMPING * math.sqrt(stiffness * M),
-            )
-        )
-        for M in inertias
+    missing = len(tasks) - len(results)
+    note = f"{missing} of {len(tasks)} tasks have not run yet; the same command goes on." if missing else ""
+    drives = [task for task in tasks if task[0] == "drives" and task in results]
+    summary = "\n".join(f"- {line}" for line in summary_lines(drives, results))
+    parts = [
+        note,
+        summary,
+        report_page.table(HEAD, [drive_row(task, results) for task in drives], 4),
+        travel_table(drives, results),
     ]
+    kinds = every_hand_kinds.rows(results)
+    if kinds:
+        parts += ["## Wrists, tendons, jaws, lint", report_page.table(("what", "measured", "required"), kinds, 3)]
+    parts += link_gaps.section({task[1:]: each for task, each in results.items() if task[0] == "gaps"})
+    parts += every_hand_heat.sections(results)
+    parts += own_hand.section([results[task] for task in tasks if task[0] == "own" and task in results])
+    return [part for part in parts if part]
 
 
-def has_jaws(hand: Hand) -> bool:
-    """Return whether a joint of a hand is prismatic, so that its units are N and m."""
-    return any(link.is_prismatic for link in hand.tree().links)
-
-
-def free_reference(grasp: Grasp) -> Any:
-    """Return a motion of 5 mm out and back in the direction with the longest travel; rest if the object cannot move.
-
-    Args:
-        grasp: the grasp.
-    """
-    start = BodyMotion(grasp.p_HO, grasp.R_HO)
-    try:
-        limit = max(travel_limits(grasp, TRAVEL), key=lambda each: each.distance, default=None)
-    except GraspForceError:
-        limit = None
-    if limit is None or limit.distance < 1e-3:
-        return constant_reference(start)
-    return linear_reference(start, limit.distance * limit.direction, PERIOD)
-
-
-def table_row(task: Task, results: dict[Task, dict[str, Any]]) -> tuple[str, ...]:
+def drive_row(task: Task, results: Results) -> tuple[str, ...]:
     """Return the row of a run.
 
     Args:
-        task: hand, drive and object.
-        results: of all runs.
+        task: "drives", hand, drive, object and duration.
+        results: of all tasks.
     """
-    hand, mode, object_name = task
-    result, ideal = results[task], results.get((hand, "ideal", object_name), {})
+    _, hand, mode, object_name, duration = task
+    result, ideal = results[task], results.get(("drives", hand, "ideal", object_name, duration), {})
     label = f"{result.get('mode', '')} (described)" if mode == "described" else mode
     if "rms" not in result:
-        return hand, label, object_name, f"{result['result']}: {result['message'][:60]}", "–", "–", "–"
+        return hand, label, object_name, f"error: {result['error'][:60]}", "–", "–", "–", "–"
     ratio = f"{result['rms'] / ideal['rms']:.2f}" if ideal.get("rms") else "–"
     text = result["result"] + (f": {result['message'][:50]}" if result["result"] != "held" else "")
-    return hand, label, object_name, text, f"{result['rms']:.4f}", ratio, f"{100 * result['kept']:.2f} %"
+    figures = f"{1e3 * result['travel']:.0f}", f"{result['rms']:.4f}", ratio, f"{100 * result['kept']:.2f} %"
+    return hand, label, object_name, text, *figures
 
 
-def summary_lines(results: dict[Task, dict[str, Any]]) -> list[str]:
+def travel_table(tasks: list[Task], results: Results) -> str:
+    """Return the table of the grasps in which the object cannot be moved by 5 mm, with the reason.
+
+    Args:
+        tasks: of the drives.
+        results: of all tasks.
+    """
+    table = {}
+    for task in tasks:
+        result = results[task]
+        if "travel" in result and result["travel"] < TRAVEL:
+            table[task[1], task[3]] = (task[1], task[3], f"{1e3 * result['travel']:.0f}", result["limit"])
+    if not table:
+        return ""
+    head = ("hand", "object", "travel, mm", "why not farther")
+    return f"Grasps with less travel than {1e3 * TRAVEL:.0f} mm:\n\n" + report_page.table(head, table.values(), 4)
+
+
+def summary_lines(tasks: list[Task], results: Results) -> list[str]:
     """Return sentences with the figures over all runs.
 
     Args:
-        results: of all runs.
+        tasks: of the drives.
+        results: of all tasks.
     """
-    runs = [result for result in results.values() if "rms" in result]
-    held = [result for result in runs if result["result"] == "held"]
-    lines = [f"{len(held)} of {len(results)} runs are held; {len(results) - len(runs)} have no grasp or no run."]
-    driven = [(task, result) for task, result in results.items() if task[1] != "ideal" and result["result"] == "held"]
-    steps = sum(result["steps"] for _, result in driven)
+    runs = {task: results[task] for task in tasks if "rms" in results[task]}
+    if not runs:
+        return []
+    held = [result for result in runs.values() if result["result"] == "held"]
+    lines = [f"{len(held)} of {len(tasks)} runs are held; {len(tasks) - len(runs)} have no grasp or no run."]
+    driven = {task: result for task, result in runs.items() if task[2] != "ideal" and result["result"] == "held"}
+    steps = sum(result["steps"] for result in driven.values())
     if steps:
-        kept = sum(result["steps"] * result["kept"] for _, result in driven) / steps
+        kept = sum(result["steps"] * result["kept"] for result in driven.values()) / steps
         lines.append(f"The margin is at least the guaranteed one in {100 * kept:.3f} % of {steps} steps with drives.")
     for mode in DRIVE_MODES[1:]:
-        ratios = [
-            result["rms"] / results[task[0], "ideal", task[2]]["rms"]
-            for task, result in driven
-            if result["mode"] == mode and results.get((task[0], "ideal", task[2]), {}).get("rms")
-        ]
+        ratios = {}
+        for task, result in driven.items():
+            ideal = results.get((*task[:2], "ideal", *task[3:]), {}).get("rms")
+            if result["mode"] == mode and ideal:
+                ratios[task] = result["rms"] / ideal
         if ratios:
-            lines.append(f"{mode}: RMS is {np.median(ratios):.2f} times that of torque drives, at most {max(ratios):.2f}.")
+            worst = max(ratios, key=ratios.__getitem__)
+            median, most = np.median(list(ratios.values())), ratios[worst]
+            lines.append(
+                f"{mode}: RMS is {median:.2f} times that of torque drives in the median of {len(ratios)} runs, "
+                f"at most {most:.2f} ({worst[1]}, {worst[3]})."
+            )
     return lines
 
 

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import math
-import multiprocessing
-import os
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from itertools import product
+from typing import Any
 
 import numpy as np
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, track
 
 from benchmarks import report_page
-from benchmarks.mujoco_loop import EARTH, PALM_UP
-from graspforce import ForceProblem, GraspForceError, Hand, solve
+from benchmarks.every_hand_drives import FRICTION, OBJECTS, gravity
+from graspforce import ForceProblem, Hand, solve
 from graspforce.contact import friction
 from graspforce.contact.matrices import grasp_matrix
 from graspforce.contact.motion import BodyMotion
@@ -22,7 +17,6 @@ from graspforce.control import ControlSettings, GraspState, ObjectController
 from graspforce.control.heat_protection import HeatProtectedController
 from graspforce.core.arrays import Array
 from graspforce.estimation import Measurement
-from graspforce.geometry import Box, Cylinder, Sphere
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import find_grasp, relax_idle_fingers
@@ -32,11 +26,8 @@ from graspforce.hand.heat import ThermalModel
 from graspforce.simulation import PlantOptions, UrdfPlant
 from graspforce.simulation.plants.driven_plant import DrivenPlant
 
-HANDS = ("allegro_right", "anthropomorphic15", "dlr_hit2", "four_finger")
-OBJECTS = {"ball": Sphere(0.03), "box": Box([0.05, 0.05, 0.05]), "cylinder": Cylinder(0.025, 0.08)}
-MASS, FRICTION = 0.1, 0.7  # kg
+MASS = 0.1  # kg
 MARGIN = 0.5  # N
-MOST_SEEDS = 40  # of the search for each hand and object
 SQUEEZES = np.linspace(0.0, 40.0, 4001)  # N, tried for the equal squeeze
 HOLD_HANDS = ("allegro_right", "dlr_hit2", "four_finger")
 HOLD_TIME, HOLD_PERIOD = 600.0, 0.01  # s
@@ -48,80 +39,59 @@ THERMAL = ThermalDescription(
 DRIVE = Drive("current", torque_constant=0.8, resistance=5.0, thermal=THERMAL)
 
 
-def sections(count: int) -> list[str]:
-    """Return the sections of the page on heat, and print their tables.
+def sections(results: dict[tuple[Any, ...], dict[str, Any]]) -> list[str]:
+    """Return the sections of the page on heat.
 
     Args:
-        count: number of grasps to compare.
+        results: of all tasks.
     """
-    text = (
-        "Forces of the least copper loss against an equal squeeze: each finger presses towards the contacts' centroid with "
-        "the same force, corrected to the object's weight by the forces of least norm, with the smallest squeeze that keeps a "
-        f"slip margin of {MARGIN:g} N. Objects of {1e3 * MASS:.0f} g, motors with the same constants."
-    )
-    head = ("hand", "grasps", "less heat, median", "least", "most")
-    hold_text = (
-        "Ten minutes at the thermal limit: the wanted slip margin loads the hottest motor with 1.3 times the torque that it "
-        "can hold forever. The motors' true thermal resistances and time constants differ by up to 10 % from those of the "
-        "estimate. Plant: the hand's URDF, with current drives; control at 100 Hz."
-    )
-    hold_head = ("hand", "result", "hottest winding, °C", "limit, °C", "estimate less truth, K", "slip margin, N, start to end")
-    with ProcessPoolExecutor(os.cpu_count(), multiprocessing.get_context("spawn")) as pool:
-        rows = squeeze_rows(count, pool)
-        rows_by_hand = pool.map(hold_row, HOLD_HANDS)
-        hold_rows = list(track(rows_by_hand, "ten minutes at the limit", total=len(HOLD_HANDS)))
-    report_page.show("Copper loss against an equal squeeze", head, rows)
-    report_page.show("Ten minutes at the thermal limit", hold_head, hold_rows)
-    return ["## Heat", text, report_page.table(head, rows), hold_text, report_page.table(hold_head, hold_rows, 2)]
+    parts = []
+    squeezes = {task: result for task, result in results.items() if task[0] == "squeeze" and "saving" in result}
+    if squeezes:
+        text = (
+            "Forces of the least copper loss against an equal squeeze: each finger presses towards the contacts' centroid "
+            "with the same force, corrected to the object's weight by the forces of least norm, with the smallest squeeze "
+            f"that keeps a slip margin of {MARGIN:g} N. Objects of {1e3 * MASS:.0f} g, motors with the same constants. "
+            "Grasps that no equal squeeze up to 40 N holds with this margin count apart."
+        )
+        head = ("hand", "grasps", "less heat, median", "least", "most", "not held by an equal squeeze")
+        parts += ["## Heat", text, report_page.table(head, squeeze_rows(squeezes))]
+    holds = [(task[1], result) for task, result in results.items() if task[0] == "limit" and "hottest" in result]
+    if holds:
+        text = (
+            "Ten minutes at the thermal limit: the wanted slip margin loads the hottest motor with 1.3 times the torque that "
+            "it can hold forever. The motors' true thermal resistances and time constants differ by up to 10 % from those of "
+            "the estimate. Plant: the hand's URDF, with current drives; control at 100 Hz."
+        )
+        head = ("hand", "result", "hottest winding, °C", "limit, °C", "estimate less truth, K", "slip margin, N, start to end")
+        parts += [text, report_page.table(head, [hold_row(*each) for each in holds], 2)]
+    return parts
 
 
-def gravity(hand_name: str) -> Array:
-    """Return gravity in H with the palm up, m/s².
-
-    Args:
-        hand_name: name of a shipped hand.
-    """
-    return PALM_UP if hand_name.startswith("allegro") else EARTH
-
-
-def squeeze_rows(count: int, pool: ProcessPoolExecutor) -> list[tuple[str, ...]]:
+def squeeze_rows(results: dict[tuple[Any, ...], dict[str, Any]]) -> list[tuple[str, ...]]:
     """Return the rows of the comparison with an equal squeeze, by hand and over all grasps.
 
     Args:
-        count: number of grasps.
-        pool: processes that compare.
+        results: by task.
     """
-    savings: dict[str, list[float]] = {name: [] for name in HANDS}
-    without, compared = 0, 0
-    with Progress(TextColumn("comparing heat"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()) as progress:
-        bar = progress.add_task("", total=count)
-        for seed in range(MOST_SEEDS):
-            for name, saving in pool.map(compare_grasp, product([seed], HANDS, OBJECTS)):
-                if compared < count and saving is not None:
-                    compared, without = compared + math.isfinite(saving), without + math.isnan(saving)
-                    savings[name] += [saving] if math.isfinite(saving) else []
-            progress.update(bar, completed=compared)
-            if compared >= count:
-                break
-    rows = [(name, *_statistics(values)) for name, values in savings.items() if values]
-    note = f"all ({without} more grasps that no equal squeeze holds)"
-    return [*rows, (note, *_statistics([value for values in savings.values() for value in values]))]
+    by_hand: dict[str, list[float | None]] = {}
+    for task, result in results.items():
+        by_hand.setdefault(task[1], []).append(result["saving"])
+    by_hand["all"] = [saving for values in by_hand.values() for saving in values]
+    return [(name, *_statistics(values)) for name, values in by_hand.items()]
 
 
-def compare_grasp(task: tuple[int, str, str]) -> tuple[str, float | None]:
-    """Return the hand of a task and the saving of its grasp: NaN without an equal squeeze, None without a grasp.
+def compare_grasp(name: str, object_name: str, seed: int) -> dict[str, Any]:
+    """Return the saving of a grasp against an equal squeeze; None if no equal squeeze holds the object.
 
     Args:
-        task: seed of the search, hand and object.
+        name: name of the hand.
+        object_name: one of `OBJECTS`.
+        seed: of the search.
     """
-    seed, name, object_name = task
-    try:
-        body = Body.solid(OBJECTS[object_name], MASS)
-        grasp = find_grasp(Hand.load(name), body, friction=FRICTION, gravity_H=gravity(name), seed=seed)
-    except GraspForceError:
-        return name, None
-    saving = heat_saving(grasp, gravity(name))
-    return name, math.nan if saving is None else saving
+    body = Body.solid(OBJECTS[object_name], MASS)
+    grasp = find_grasp(Hand.load(name), body, friction=FRICTION, gravity_H=gravity(name), seed=seed)
+    return {"saving": heat_saving(grasp, gravity(name))}
 
 
 def heat_saving(grasp: Grasp, gravity_H: Array) -> float | None:
@@ -184,8 +154,8 @@ def equal_squeeze(problem: ForceProblem) -> Array | None:
     return None
 
 
-def hold_row(name: str) -> tuple[str, ...]:
-    """Return the row of ten minutes at the thermal limit.
+def hold_at_limit(name: str) -> dict[str, Any]:
+    """Return the measured values of ten minutes at the thermal limit.
 
     Args:
         name: name of the hand.
@@ -217,9 +187,26 @@ def hold_row(name: str) -> tuple[str, ...]:
         distance = max(distance, float(np.linalg.norm(state.object.p_HO - grasp.p_HO)))
         if distance > 0.02:
             break
-    result = f"held, {1e3 * distance:.2f} mm" if distance < 0.001 else f"moved by {1e3 * distance:.1f} mm"
-    limit = float(truth.largest.min())
-    return name, result, f"{hottest:.1f}", f"{limit:.0f}", f"{worst:.1f}", f"{margins[10]:.2f} to {margins[-1]:.2f}"
+    return {
+        "hottest": hottest,
+        "limit": float(truth.largest.min()),
+        "worst": worst,
+        "margins": [margins[10], margins[-1]],
+        "distance": distance,
+    }
+
+
+def hold_row(name: str, result: dict[str, Any]) -> tuple[str, ...]:
+    """Return the row of ten minutes at the thermal limit.
+
+    Args:
+        name: name of the hand.
+        result: its measured values.
+    """
+    distance, margins = result["distance"], result["margins"]
+    text = f"held, {1e3 * distance:.2f} mm" if distance < 0.001 else f"moved by {1e3 * distance:.1f} mm"
+    hottest, limit, worst = f"{result['hottest']:.1f}", f"{result['limit']:.0f}", f"{result['worst']:.1f}"
+    return name, text, hottest, limit, worst, f"{margins[0]:.2f} to {margins[1]:.2f}"
 
 
 def scaled_drives(grasp: Grasp, gravity_H: Array) -> Drive:
@@ -252,6 +239,8 @@ def true_drives(drives: Drives, rng: np.random.Generator) -> Drives:
     return Drives(tuple(joints))
 
 
-def _statistics(values: list[float]) -> tuple[str, ...]:
-    """Return the number of values, and their median, least and largest in percent."""
-    return str(len(values)), *(f"{100 * value:.0f} %" for value in (np.median(values), min(values), max(values)))
+def _statistics(savings: list[float | None]) -> tuple[str, ...]:
+    """Return the number of savings, their median, least and largest in percent, and the number of grasps without one."""
+    values = [saving for saving in savings if saving is not None]
+    figures = (f"{100 * value:.0f} %" for value in (np.median(values), min(values), max(values))) if values else ("–",) * 3
+    return str(len(values)), *figures, str(len(savings) - len(values))

@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -75,23 +76,53 @@ def least_link_distance(hand: Hand, q: Array) -> tuple[float, str]:
     return float(min(distances)), names
 
 
+def measure_hand(name: str, what: str) -> dict[str, Any]:
+    """Search grasps of a hand, and measure the distances between its links.
+
+    Args:
+        name: name of a shipped hand.
+        what: one of `OBJECTS`.
+    """
+    hand, distances, times = Hand.load(name), [], []
+    for seed in range(SEEDS):
+        start = time.perf_counter()
+        try:
+            grasp = find_grasp(hand, OBJECTS[what], friction=0.7, gravity_H=(0.0, 0.0, -9.81), seed=seed)
+        except GraspForceError:
+            times.append(time.perf_counter() - start)
+            continue
+        times.append(time.perf_counter() - start)
+        distances.append(least_link_distance(hand, grasp.q))
+    least, pair = min(distances, default=(None, ""))
+    return {"found": len(distances), "least": least, "pair": pair, "seconds": float(np.median(times))}
+
+
+def section(results: dict[tuple[Any, ...], dict[str, Any]]) -> list[str]:
+    """Return the section of a page with the distances of several hands.
+
+    Args:
+        results: by hand and object, as `measure_hand` returns them.
+    """
+    rows = [
+        Row(*task, result["found"], np.inf if result["least"] is None else result["least"], result["pair"], result["seconds"])
+        for task, result in results.items()
+        if "found" in result
+    ]
+    text = markdown(rows).split("\n", 4)[-1].strip()
+    about = (
+        f"Grasps by `find_grasp` for {SEEDS} seeds, palm up, friction 0.7. The least distance of two links that no joint "
+        "connects, by Pinocchio's reader of the URDF's collision shapes, which the search does not use."
+    )
+    return ["## Distances between links", about, text] if rows else []
+
+
 def measure() -> Iterator[Row]:
     """Search grasps of all shipped hands, and measure the distances between their links."""
     for name in shipped_hands():
-        hand = Hand.load(name)
-        for what, body in OBJECTS.items():
-            distances, times = [], []
-            for seed in range(SEEDS):
-                start = time.perf_counter()
-                try:
-                    grasp = find_grasp(hand, body, friction=0.7, gravity_H=(0.0, 0.0, -9.81), seed=seed)
-                except GraspForceError:
-                    times.append(time.perf_counter() - start)
-                    continue
-                times.append(time.perf_counter() - start)
-                distances.append(least_link_distance(hand, grasp.q))
-            least, pair = min(distances, default=(np.inf, ""))
-            yield Row(name, what, len(distances), least, pair, float(np.median(times)))
+        for what in OBJECTS:
+            result = measure_hand(name, what)
+            least = np.inf if result["least"] is None else result["least"]
+            yield Row(name, what, result["found"], least, result["pair"], result["seconds"])
 
 
 def markdown(rows: list[Row]) -> str:

@@ -13,6 +13,7 @@ import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from benchmarks.report_page import parser
 from graspforce.hand.descriptions.description import robot_data_folders
@@ -64,6 +65,34 @@ def transcript(case: Case, folder: Path) -> list[str]:
     ball = f"sphere:{case.radius:g}"
     lines += _run(folder, "simulate", "--hand", target.name, "--object", ball, "--reference", "still", "--duration", "10")
     return [*lines, f"Computing time of all commands: {time.perf_counter() - start:.0f} s.", ""]
+
+
+def record_transcript(name: str) -> dict[str, Any]:
+    """Return the transcript of a case, with its computing time and the number of lines typed.
+
+    Args:
+        name: of one of `CASES`.
+    """
+    case, start = next(case for case in CASES if case.name == name), time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        lines = transcript(case, Path(folder))
+    typed = next(int(line.split()[1]) for line in lines if line.startswith("Typed, "))
+    return {"lines": lines, "typed": typed, "seconds": time.perf_counter() - start}
+
+
+def section(results: list[dict[str, Any]]) -> list[str]:
+    """Return the section of a page with the transcripts.
+
+    Args:
+        results: as `record_transcript` returns them.
+    """
+    transcripts = [each for each in results if "lines" in each]
+    if not transcripts:
+        return []
+    typed = ", ".join(f"{each['typed']} lines of JSON typed and {each['seconds']:.0f} s of computing" for each in transcripts)
+    about = f"From a public URDF of example-robot-data to the first held object: {typed}. Required: 30 lines and 10 min."
+    lines = [line.replace("## ", "### ", 1) for each in transcripts for line in each["lines"]]
+    return ["## Your own hand", about, "\n".join(lines).strip()]
 
 
 def _run(folder: Path, *arguments: str) -> list[str]:

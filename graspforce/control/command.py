@@ -18,7 +18,7 @@ from graspforce.control.clearance import ClearanceQuery
 from graspforce.control.contacts.contact_constraints import ContactConstraints
 from graspforce.control.contacts.mobility import planned_rates
 from graspforce.control.drives.drive_commands import DriveCommand, DriveMap
-from graspforce.control.drives.drive_margin import torque_sensitivity
+from graspforce.control.drives.drive_margin import TorqueSensitivity, torque_sensitivity
 from graspforce.control.state import GraspState
 from graspforce.control.step_data import StepResult, StepTargets
 from graspforce.core import arrays, fields
@@ -207,6 +207,7 @@ class CommandSource(NamedTuple):
         drives: map to the set-points of the hand's drives.
         free_torque: (n,) torques of the hand's own motion, without contact and joint friction, N·m.
         clearance: query of the least distance.
+        sensitivity: effects of torque errors with these constraints; None if the step did not need them.
     """
 
     grasp: Grasp
@@ -217,6 +218,7 @@ class CommandSource(NamedTuple):
     drives: DriveMap
     free_torque: Array
     clearance: ClearanceQuery
+    sensitivity: TorqueSensitivity | None = None
 
 
 def make_lazy_command(
@@ -286,9 +288,12 @@ def _guaranteed_margin(command: _LazyCommand) -> Array:
     error, margin = command.drive.torque_error, np.asarray(command.slip_margin)
     if not error.any():
         return margin
-    A, B, _ = constraints.constraint_rows(targets.rolling)
-    masses = grasp.hand.model.mass_matrix(state.q), grasp.body.mass_matrix()
-    return np.asarray(margin - torque_sensitivity(A, B, *masses, constraints, grasp.contacts).margin @ error)
+    sensitivity = command._source.sensitivity
+    if sensitivity is None:
+        A, B, _ = constraints.constraint_rows(targets.rolling)
+        masses = grasp.hand.model.mass_matrix(state.q), grasp.body.mass_matrix()
+        sensitivity = torque_sensitivity(A, B, *masses, constraints, grasp.contacts)
+    return np.asarray(margin - sensitivity.margin @ error)
 
 
 def _drive(command: _LazyCommand) -> DriveCommand:

@@ -34,8 +34,8 @@ from graspforce.control.contacts.lost_drives import LostDrives
 from graspforce.control.contacts.mobility import MassFactor, compute_accelerations, compute_damped_accelerations, has_full_rank
 from graspforce.control.contacts.pad_spin import next_spin, spin_acceleration
 from graspforce.control.drives.drive_commands import DriveMap
-from graspforce.control.drives.drive_margin import torque_sensitivity
-from graspforce.control.drives.torque_factors import TorqueFactorEstimator, TorqueFactors
+from graspforce.control.drives.drive_margin import TorqueSensitivity, torque_sensitivity
+from graspforce.control.drives.torque_factors import TorqueFactorEstimator
 from graspforce.control.forces.drive_allowance import DriveAllowance, drive_allowance
 from graspforce.control.forces.force_planner import ContactPlan, ForcePlanner
 from graspforce.control.forces.margin_solver import MarginResult, MarginSolver
@@ -204,16 +204,20 @@ class ObjectControlLaw:
         if self._friction is not None and friction_memory is not None:
             hold = friction_memory, targets.error, memory.integral, integral, free.is_at_rest
             integral, friction_memory = self._friction.hold_integral(*hold)
-        factors = None
+        factors, sensitivity = None, None
         if self._factors.is_active and plan.lost is None:
-            factors, integral = self._learn_factors(memory.torque_factors, state, targets, result.tau, integral)
+            sensitivity = self._torque_sensitivity(state, targets)
+            effect = sensitivity.acceleration.reshape(2, 3, -1)
+            effect_H = (state.object.R_HO @ effect).reshape(6, -1)
+            factors, integral = self._factors.step(memory.torque_factors, effect_H, result.tau, integral)
+            integral = limit_integral(integral, self._gains[2], self._integral_limits)
         if result.has_warnings or (conditions is not None and conditions.has_evidence):
             warnings += self._warnings.of_contacts(result.creep_distance, targets.rolling.gap, conditions)
             warnings += self._warnings.of_joints(state.q)
         if targets.uncontrollable_error is not None:
             warnings += uncontrollable_warning(targets.uncontrollable_error)
         constraints, twist = self._constraints_with(plan.lost), object_motion(desired).twist
-        source = CommandSource(grasp, constraints, targets, state, twist, self._drives, free.own, self._clearance)
+        source = CommandSource(grasp, constraints, targets, state, twist, self._drives, free.own, self._clearance, sensitivity)
         command = make_lazy_command(source, result, forces.solution, f, tuple(warnings), forces_reused)
         last_forces = memory.f if forces_reused else f
         spin = None
@@ -223,17 +227,12 @@ class ObjectControlLaw:
         parts = last_forces, targets.tip_contacts, friction_memory, plan.reflex, stop, ramp, spin, margin, factors
         return command, ControlMemory(integral, targets.R_OC, result.creep, *parts)
 
-    def _learn_factors(
-        self, factors: TorqueFactors | None, state: GraspState, targets: StepTargets, tau: Array, integral: Array
-    ) -> tuple[TorqueFactors, Array]:
-        """Return the estimated errors of the drives after a step, and the integral that moved along with the torques."""
-        grasp, R_HO = self.grasp, state.object.R_HO
+    def _torque_sensitivity(self, state: GraspState, targets: StepTargets) -> TorqueSensitivity:
+        """Return the effects of torque errors in a step."""
+        grasp = self.grasp
         A, B, _ = self._constraints.constraint_rows(targets.rolling)
         masses = grasp.hand.model.mass_matrix(state.q), grasp.body.mass_matrix()
-        in_O = torque_sensitivity(A, B, *masses, self._constraints, grasp.contacts).acceleration
-        in_H = (R_HO @ in_O.reshape(2, 3, -1)).reshape(in_O.shape)
-        moved, integral = self._factors.step(factors, in_H, tau, integral)
-        return moved, limit_integral(integral, self._gains[2], self._integral_limits)
+        return torque_sensitivity(A, B, *masses, self._constraints, grasp.contacts)
 
     def _compute_free_torques(
         self, memory: ControlMemory, state: GraspState, targets: StepTargets, desired: DesiredMotion, lost: LostDrives | None
