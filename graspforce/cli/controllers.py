@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from graspforce.control import ControlSettings, OutputFeedbackController
 from graspforce.control.friction.friction_compensation import FrictionSettings
+from graspforce.control.heat_protection import HeatProtectedController
 from graspforce.core.errors import InvalidInput
 from graspforce.estimation import SensorModel
 from graspforce.grasp.grasp import Grasp
@@ -17,9 +18,9 @@ from graspforce.hand.hand import GRAVITY_PALM_UP
 from graspforce.simulation import DirectController
 from graspforce.simulation.campaigns.trial import ControllerFactory
 
-ControllerName = Literal["estimate", "direct", "exact"]
+ControllerName = Literal["estimate", "direct", "exact", "protected"]
 
-CONTROLLER_NAMES: tuple[ControllerName, ...] = ("estimate", "direct", "exact")
+CONTROLLER_NAMES: tuple[ControllerName, ...] = ("estimate", "direct", "exact", "protected")
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,5 +110,24 @@ def make_direct_controller(grasp: Grasp, settings: ControlSettings, sensors: Sen
     return DirectController(grasp, settings)
 
 
+def make_protected_controller(grasp: Grasp, settings: ControlSettings, sensors: SensorModel) -> HeatProtectedController:
+    """Return the controller with an estimator whose motors do not overheat; see `HeatProtectedController`.
+
+    Args:
+        grasp: the grasp, as told.
+        settings: the other settings.
+        sensors: noise, rate and latency of the sensors, as told.
+
+    Raises:
+        InvalidInput: a drive lacks thermal data, or no gains meet the requirements of `ControlSettings.for_sensors`.
+    """
+    gains = ControlSettings.for_sensors(sensors, settings, drives=grasp.hand.drives).settings
+    return HeatProtectedController(grasp, gains, sensors)
+
+
 # "exact" needs the plant
-FACTORIES: dict[str, ControllerFactory] = {"estimate": make_estimating_controller, "direct": make_direct_controller}
+FACTORIES: dict[str, ControllerFactory] = {
+    "estimate": make_estimating_controller,
+    "direct": make_direct_controller,
+    "protected": make_protected_controller,
+}

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from graspforce import simulation
+from graspforce.cli.heat_tables import heat_record, heat_table
 from graspforce.cli.interruption import Interruption
 from graspforce.cli.json_output import put_result
 from graspforce.cli.live_view import live_view
@@ -23,8 +24,10 @@ from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, ObjectController
 from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput
+from graspforce.core.json_text import JsonRecord
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import relax_idle_fingers
+from graspforce.hand.heat import report_heat
 from graspforce.service import DEFAULT_VALIDITY, Client, start_server_process
 from graspforce.simulation import ControllerCommand, Plant, PlantInterface, Recording, Reference, Scene, World
 from graspforce.simulation.loops.reach import find_unreachable
@@ -203,10 +206,27 @@ def run(options: SimulateOptions, output: SimulateOutput, console: Console, serv
     _show(recording, output, console, remote_controller)
     if output.record is not None:
         write_mcap(recording, scene, output.record, options.meshes, console)
+    heat = show_heat(recording, grasp, console)
     metrics = simulation.compute_metrics(recording)
     is_held = metrics.lost_contact_steps == 0 and metrics.slip_steps == 0
-    put_result(console, {"hand": recording.hand, "is_held": is_held, "metrics": metrics, "warnings": recording.warnings})
+    record = {"hand": recording.hand, "is_held": is_held, "metrics": metrics, "warnings": recording.warnings}
+    put_result(console, {**record, **heat})
     return is_held
+
+
+def show_heat(recording: Recording, grasp: Grasp, console: Console) -> JsonRecord:
+    """Print the temperatures of the motors if the hand's drives have thermal data, and return their record as `heat`.
+
+    Args:
+        recording: the run.
+        grasp: its grasp.
+        console: shows the table.
+    """
+    report = report_heat(grasp.hand, recording.t, recording.tau, grasp.fingers)
+    if report is None:
+        return {}
+    console.print(heat_table(grasp.hand, report, grasp.fingers, len(recording.t) * (recording.t[1] - recording.t[0])))
+    return {"heat": heat_record(report)}
 
 
 def _callbacks(

@@ -14,7 +14,14 @@ from graspforce.cli.controllers import CONTROLLER_NAMES, FACTORIES, Assumptions,
 from graspforce.cli.interruption import Interruption
 from graspforce.cli.json_output import put_result
 from graspforce.cli.live_view import live_view
-from graspforce.cli.run_simulation import SimulateOptions, SimulateOutput, check_reference, make_reference, write_mcap
+from graspforce.cli.run_simulation import (
+    SimulateOptions,
+    SimulateOutput,
+    check_reference,
+    make_reference,
+    show_heat,
+    write_mcap,
+)
 from graspforce.cli.step_callbacks import FilmOptions, StepCallback, film_callback, progress_bar, viewer_callback
 from graspforce.cli.world_options import WorldOptions
 from graspforce.core import fields
@@ -140,10 +147,8 @@ def run(
     if output.record is not None:
         scene = simulation.build_scene(grasp, gravity_H=options.grasp.gravity_H)
         write_mcap(recording.truth, scene, output.record, options.meshes, console)
-    put_result(
-        console,
-        {"hand": recording.truth.hand, "is_held": outcome.is_held, "outcome": outcome, "drop_time": recording.drop_time},
-    )
+    record = {"hand": recording.truth.hand, "is_held": outcome.is_held, "outcome": outcome, "drop_time": recording.drop_time}
+    put_result(console, {**record, **show_heat(recording.truth, grasp, console)})
     return outcome.is_held
 
 

@@ -6,6 +6,7 @@ of the present temperatures: no torque can overheat a winding, and the forces mo
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +22,7 @@ from graspforce.estimation.estimate import GraspEstimate
 from graspforce.estimation.measurement import Measurement
 from graspforce.estimation.sensor_model import SensorModel
 from graspforce.grasp.grasp import Grasp
-from graspforce.hand.heat import AMBIENT, MotorTemperatures, ThermalModel
+from graspforce.hand.heat import AMBIENT, MotorTemperatures, ThermalModel, hottest_finger
 
 _LEAST_FRACTION = 0.02  # of the hand's torque limit: a motor that is too hot keeps it, and cools
 
@@ -99,7 +100,7 @@ class HeatProtectedController:
         desired: DesiredMotion,
         external: npt.ArrayLike | None = None,
         *,
-        lost: tuple[str, ...] = (),
+        lost: Sequence[str] = (),
     ) -> Command:
         """Compute the command for the next period.
 
@@ -132,11 +133,7 @@ class HeatProtectedController:
 
     def finger_to_rest(self) -> str | None:
         """Return the finger whose motors overheat first under the torques of the last command; None if none does."""
-        times = self.hold_times()
-        hand = self._grasp.hand
-        by_finger = {name: float(times[list(hand.finger(name).joints)].min()) for name in self._grasp.fingers}
-        finger = min(by_finger, key=by_finger.__getitem__)
-        return finger if np.isfinite(by_finger[finger]) else None
+        return hottest_finger(self._grasp.hand, self.hold_times(), self._grasp.fingers)
 
     def _limited_grasp(self) -> Grasp:
         """Return the grasp with the torque limits and the cost of the present temperatures."""

@@ -52,7 +52,8 @@ class ControlMemory:
 
         It has `friction` only with a compensation of joint friction, `reflex` only after slip, `stop` only in a stop,
         `ramp` only while contacts change, `spin` only with soft pads whose spin the fingers follow, `margin` only after a
-        change of contacts, until the margin of the settings is reached, and `torque_factors` only with drives that state errors.
+        change of contacts, until the margin of the settings is reached, and `torque_factors` only with drives that state
+        errors.
         """
         parts = {"friction": self.friction, "reflex": self.reflex, "ramp": self.ramp, "torque_factors": self.torque_factors}
         return {

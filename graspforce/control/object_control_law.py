@@ -33,9 +33,8 @@ from graspforce.control.contacts.contact_constraints import SPIN_DAMPING, Contac
 from graspforce.control.contacts.lost_drives import LostDrives
 from graspforce.control.contacts.mobility import MassFactor, compute_accelerations, compute_damped_accelerations, has_full_rank
 from graspforce.control.contacts.pad_spin import next_spin, spin_acceleration
+from graspforce.control.drive_learning import DriveLearning
 from graspforce.control.drives.drive_commands import DriveMap
-from graspforce.control.drives.drive_margin import TorqueSensitivity, torque_sensitivity
-from graspforce.control.drives.torque_factors import TorqueFactorEstimator
 from graspforce.control.forces.drive_allowance import DriveAllowance, drive_allowance
 from graspforce.control.forces.force_planner import ContactPlan, ForcePlanner
 from graspforce.control.forces.margin_solver import MarginResult, MarginSolver
@@ -87,7 +86,7 @@ class ObjectControlLaw:
         self._M_factor = MassFactor.from_body(grasp.body)
         self._creep_decay = math.exp(-settings.period / settings.creep_time)
         self._drives = DriveMap(hand, settings.position_error, settings.period)
-        self._factors = TorqueFactorEstimator(hand.drives, self._gains[2])
+        self._learning = DriveLearning(grasp, settings, self._constraints)
         self._compiled: CompiledStep | None = None
         self._clearance = ClearanceQuery(grasp, settings.obstacles)
         if settings.clearance_steps:
@@ -175,6 +174,9 @@ class ObjectControlLaw:
         check_joint_count(grasp.hand, state.q, desired)
         if external is not None:
             external = arrays.check_array(external, "external", (6,))
+        told = desired
+        if memory.torque_factors is not None:
+            desired = memory.torque_factors.shift(desired, grasp.q)
         plan = self._planner.plan_contacts(memory, conditions)
         targets = self.compute_targets(memory, state, desired, external, plan.lost)
         free = self._compute_free_torques(memory, state, targets, desired, plan.lost)
@@ -205,11 +207,9 @@ class ObjectControlLaw:
             hold = friction_memory, targets.error, memory.integral, integral, free.is_at_rest
             integral, friction_memory = self._friction.hold_integral(*hold)
         factors, sensitivity = None, None
-        if self._factors.is_active and plan.lost is None:
-            sensitivity = self._torque_sensitivity(state, targets)
-            effect = sensitivity.acceleration.reshape(2, 3, -1)
-            effect_H = (state.object.R_HO @ effect).reshape(6, -1)
-            factors, integral = self._factors.step(memory.torque_factors, effect_H, result.tau, integral)
+        if self._learning.is_active and plan.lost is None:
+            made = result._replace(integral=integral)
+            factors, integral, sensitivity = self._learning.step(memory.torque_factors, grasp, state, told, targets, made)
             integral = limit_integral(integral, self._gains[2], self._integral_limits)
         if result.has_warnings or (conditions is not None and conditions.has_evidence):
             warnings += self._warnings.of_contacts(result.creep_distance, targets.rolling.gap, conditions)
@@ -226,13 +226,6 @@ class ObjectControlLaw:
         margin = self._planner.kept_margin(plan, forces)
         parts = last_forces, targets.tip_contacts, friction_memory, plan.reflex, stop, ramp, spin, margin, factors
         return command, ControlMemory(integral, targets.R_OC, result.creep, *parts)
-
-    def _torque_sensitivity(self, state: GraspState, targets: StepTargets) -> TorqueSensitivity:
-        """Return the effects of torque errors in a step."""
-        grasp = self.grasp
-        A, B, _ = self._constraints.constraint_rows(targets.rolling)
-        masses = grasp.hand.model.mass_matrix(state.q), grasp.body.mass_matrix()
-        return torque_sensitivity(A, B, *masses, self._constraints, grasp.contacts)
 
     def _compute_free_torques(
         self, memory: ControlMemory, state: GraspState, targets: StepTargets, desired: DesiredMotion, lost: LostDrives | None

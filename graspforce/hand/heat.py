@@ -15,7 +15,9 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +32,7 @@ from graspforce.hand.hand import Hand
 
 COPPER = 0.00393  # 1/K, temperature coefficient of the resistance of copper
 AMBIENT = 25.0  # °C
+_REPORT_STEP = 0.1  # s, of the temperatures in a report
 _LONGEST_TIME = 1e7  # s; loads that reach the limit later are held forever
 
 
@@ -44,6 +47,20 @@ class MotorTemperatures:
 
     winding: Array
     housing: Array
+
+
+class HeatReport(NamedTuple):
+    """Heat of a hand's motors after a time, and how long they can go on.
+
+    Attributes:
+        temperatures: of the motors at the end.
+        hold_times: (n,) time for which each motor can bear its recent torques, s; infinite if forever.
+        finger: finger whose motors reach their limits first; None if none does.
+    """
+
+    temperatures: MotorTemperatures
+    hold_times: Array
+    finger: str | None
 
 
 class ThermalModel:
@@ -223,3 +240,56 @@ class ThermalModel:
             if end > _LONGEST_TIME:
                 return math.inf
         return float(brentq(excess, 0.0, end, xtol=1e-6))
+
+
+def hottest_finger(hand: Hand, hold_times: Array, fingers: Sequence[str]) -> str | None:
+    """Return the finger whose motors overheat first; None if all can hold their loads forever.
+
+    Args:
+        hand: the hand.
+        hold_times: (n,) as `ThermalModel.hold_times` returns them, s.
+        fingers: names of the fingers to compare.
+    """
+    by_finger = {name: float(hold_times[list(hand.finger(name).joints)].min()) for name in fingers}
+    finger = min(by_finger, key=by_finger.__getitem__)
+    return finger if np.isfinite(by_finger[finger]) else None
+
+
+def report_heat(
+    hand: Hand, t: npt.ArrayLike, tau: npt.ArrayLike, fingers: Sequence[str], ambient: float = AMBIENT
+) -> HeatReport | None:
+    """Return the heat of a hand's motors after given torques; None if a drive lacks thermal data.
+
+    The motors begin at the temperature of the air. The hold times are those of the torques of the last second, in root mean
+    squares, at the temperatures of the end.
+
+    Args:
+        hand: the hand.
+        t: (k,) begin of each step, s, with equal steps.
+        tau: (k, n) joint torques, N·m.
+        fingers: names of the fingers in contact.
+        ambient: temperature of the air, °C.
+
+    Raises:
+        InvalidInput: no step, or another number of torques.
+    """
+    if not hand.drives.has_thermal_data:
+        return None
+    t = arrays.check_array(t, "t", (None,))
+    if len(t) == 0:
+        raise InvalidInput("t", [], "at least one step")
+    tau = arrays.check_array(tau, "tau", (len(t), hand.n))
+    dt = float(t[1] - t[0]) if len(t) > 1 else _REPORT_STEP
+    count = max(round(_REPORT_STEP / dt), 1)
+    model = ThermalModel(hand.drives, ambient)
+    temperatures = model.at_rest()
+    for start in range(0, len(t), count):
+        part = tau[start : start + count]
+        temperatures = model.step(temperatures, model.currents(_root_mean_square(part)), len(part) * dt)
+    times = freeze(model.hold_times(temperatures, _root_mean_square(tau[-max(round(1.0 / dt), 1) :])))
+    return HeatReport(temperatures, times, hottest_finger(hand, times, fingers))
+
+
+def _root_mean_square(values: Array) -> Array:
+    """Return the root mean square of each column."""
+    return np.asarray(np.sqrt(np.mean(np.square(values), axis=0)))

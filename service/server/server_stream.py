@@ -20,6 +20,7 @@ from graspforce.service.server.joint_control import JointControl
 from graspforce.service.server.phase_control import PhaseControl
 from graspforce.service.server.plausibility import StateGuard
 from graspforce.service.server.server_load import client_label
+from graspforce.service.server.stream_heat import StreamHeat
 from graspforce.service.server.torque_step import TorqueStepLimit
 from graspforce.service.wire import protocol
 from graspforce.service.wire.command_records import ClearanceRecord, CommandRecord
@@ -81,9 +82,11 @@ class ServerStream:
         self._signer = None if self.key is None else MessageSigner(self.key, COMMAND)
         self._guard: StateGuard | None = None
         self._torque_step: TorqueStepLimit | None = None
+        self._heat: StreamHeat | None = None
         if isinstance(setup, StreamSetup):
             self._guard = StateGuard(setup.grasp, setup.validity, setup.sensors is not None)
             self._torque_step = TorqueStepLimit(setup.grasp, setup.torque_step)
+            self._heat = StreamHeat(setup.hand) if setup.hand.drives.has_thermal_data else None
         self._sequence: int | None = None
         self._silent_context = make_silent_context()
 
@@ -185,6 +188,8 @@ class ServerStream:
         record = self._silent_context.run(self._control.step, state)
         if self._torque_step is not None and isinstance(record, CommandRecord):
             self._torque_step.apply(record, state)
+        if self._heat is not None and isinstance(record, CommandRecord):
+            self._heat.apply(record, state)
         record.sequence, record.time = state.sequence, state.time
         record.server_seconds = time.perf_counter() - received
         record.late = record.server_seconds > self.setup.validity

@@ -157,6 +157,12 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
         """The nearest two bodies that must not touch, in the commands of `ControlSettings.clearance_steps`; None in others."""
         return None if self.record.clearance is None else self.record.clearance.unpack()
 
+    @cached_property
+    def winding_temperature(self) -> Array | None:
+        """(n,) estimated temperatures of the motors' windings, °C; None without thermal data of the drives."""
+        given = self.record.winding_temperature
+        return None if given is None else to_array(given)
+
     @property
     def sequence(self) -> int | None:
         """Sequence number of the state or request that it answers."""
@@ -245,6 +251,7 @@ class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=Tr
         joints: names of the joints in the order of the torques, in the reply to a request.
         contact_change: fingers at the contacts, in a stream whose contacts have changed.
         clearance: nearest two bodies that must not touch, with `clearance_steps` in the settings.
+        winding_temperature: estimated temperatures of the motors' windings, °C, in a stream whose drives have thermal data.
     """
 
     torque: WireVector
@@ -272,6 +279,7 @@ class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=Tr
     joints: tuple[str, ...] | None = None
     contact_change: ContactChangeRecord | None = None
     clearance: ClearanceRecord | None = None
+    winding_temperature: WireVector | None = None
 
     @classmethod
     def pack(cls, command: Command, memory: ControlMemory, binary: bool = False, has_drive: bool = False) -> CommandRecord:

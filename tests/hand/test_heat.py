@@ -12,7 +12,7 @@ from support.hands import load
 from graspforce.core.errors import InvalidInput
 from graspforce.hand.descriptions.drive_description import ThermalDescription
 from graspforce.hand.drives.drive import Drive, Drives
-from graspforce.hand.heat import COPPER, MotorTemperatures, ThermalModel
+from graspforce.hand.heat import COPPER, MotorTemperatures, ThermalModel, report_heat
 
 THERMAL = ThermalDescription(
     winding_resistance=8.0, winding_time_constant=6.0, housing_resistance=30.0, housing_time_constant=400.0,
@@ -133,3 +133,37 @@ def test_reserve_is_a_part_of_the_range_over_the_air():
     assert reserved.continuous_torques()[0] < MODEL.continuous_torques()[0]
     with pytest.raises(InvalidInput, match="reserve"):
         MODEL.with_reserve(1.0)
+
+
+# ── reports of runs ────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_report_agrees_with_one_exact_step_and_names_the_finger_that_reaches_its_limit_first() -> None:
+    hand = load("four_finger").with_drives(DRIVE)
+    tau = np.zeros((2000, hand.n))
+    tau[:, hand.finger("finger_2").joints[1]] = 0.6  # N·m; 0.29 can be held forever
+    report = report_heat(hand, np.arange(2000) * 1e-3, tau, ["finger_1", "finger_2"])
+    model = ThermalModel(hand.drives)
+    expected = model.at_rest()
+    for _ in range(20):
+        expected = model.step(expected, model.currents(tau[0]), 0.1)
+    np.testing.assert_allclose(report.temperatures.winding, expected.winding, rtol=1e-12)
+    np.testing.assert_allclose(report.hold_times, model.hold_times(expected, tau[0]), rtol=1e-9)
+    assert report.finger == "finger_2"
+
+
+def test_report_names_no_finger_under_loads_for_ever_and_needs_thermal_data() -> None:
+    hand = load("four_finger").with_drives(DRIVE)
+    report = report_heat(hand, [0.0, 0.1], np.full((2, hand.n), 0.01), ["finger_1"])
+    assert report.finger is None
+    assert np.isinf(report.hold_times).all()
+    assert report_heat(load("four_finger"), [0.0], np.zeros((1, hand.n)), ["finger_1"]) is None
+    with pytest.raises(InvalidInput, match="t = "):
+        report_heat(hand, [], np.zeros((0, hand.n)), ["finger_1"])
+
+
+def test_shipped_thermal_data_agree_with_the_published_continuous_values() -> None:
+    """Barrett: 36.7 mN·m at 17.7 mN·m/A. LEAP: 0.6 A."""
+    for name, expected in (("barrett", 0.0367 / 0.0177), ("leap_right", 0.6)):
+        model = ThermalModel(load(name).drives)
+        np.testing.assert_allclose(model.currents(model.continuous_torques()), expected, rtol=0.01)

@@ -64,7 +64,8 @@ def memory() -> ControlMemory:
     f = np.tile([0.1, -0.05, 1.9], count) + 0.01 * rng.standard_normal(k)  # N
     tip_contacts = TipContactState(GRASP.contacts.p_OC * 1.2, GRASP.contacts.R_OC, GRASP.contacts.p_OC + 1e-5)
     integral, creep = 1e-6 * rng.standard_normal(6), 1e-5 * rng.standard_normal((count, 2))
-    spin, factors = rng.standard_normal((count, 2)), TorqueFactors(0.01 * rng.standard_normal(HAND.n), integral)
+    spin, (errors, posture) = rng.standard_normal((count, 2)), 0.01 * rng.standard_normal((2, HAND.n))
+    factors = TorqueFactors(errors, integral, posture)
     return ControlMemory(integral, GRASP.contacts.R_OC, creep, f, tip_contacts, spin=spin, torque_factors=factors)
 
 

@@ -149,7 +149,8 @@ def simulate(
         str | None,
         typer.Option(
             metavar="KIND",
-            help="estimate: with an estimator (default). direct: measurements as they come. exact: full knowledge.",
+            help="estimate: with an estimator (default). protected: the same, and no motor overheats. "
+            "direct: measurements as they come. exact: full knowledge.",
             rich_help_panel=_WORLD,
         ),
     ] = None,

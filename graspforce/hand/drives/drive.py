@@ -143,6 +143,11 @@ class Drives:
         return all(replace(drive, source="") == Drive() for drive in self.joints)
 
     @cached_property
+    def has_thermal_data(self) -> bool:
+        """Whether the heat of every motor is known: its torque constant, resistance and heat path."""
+        return all(None not in (drive.torque_constant, drive.resistance, drive.thermal) for drive in self.joints)
+
+    @cached_property
     def modes(self) -> tuple[DriveMode, ...]:
         """Mode of each drive."""
         return tuple(drive.mode for drive in self.joints)

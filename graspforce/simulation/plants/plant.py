@@ -32,6 +32,7 @@ from graspforce.simulation.plants.link_geoms import collision_names, read_collis
 from graspforce.simulation.plants.plant_interface import TrueContacts
 from graspforce.simulation.plants.preload import preload_contacts
 from graspforce.simulation.plants.scene import Scene, set_posture
+from graspforce.simulation.plants.tendon_parts import Clutches, find_free_differentials
 
 _AT_REST = freeze(np.zeros(6))
 _INITIAL_FRICTION = 0.8  # part of the friction that the initial forces may use
@@ -64,6 +65,7 @@ class Plant:
         model: of MuJoCo; a copy of the scene's, which disturbances change.
         data: of MuJoCo.
         gear_friction: (n,) Coulomb friction of the joints beside that of the model, N·m.
+        clutches: breakaways of the hand.
         external_wrench: (6,) force in N and moment in N·m on the object at its centre of mass, in H, in each step.
 
     Raises:
@@ -82,6 +84,7 @@ class Plant:
         self._collision_names = collision_names(scene.model, object=scene.object_geom, **floor)
         self._motor_q = scene.q_address[scene.motor_joints]
         self._motor_v = scene.v_address[scene.motor_joints]
+        self._has_tendons = bool(find_free_differentials(scene.grasp.hand))
         self._pairs = np.array(scene.contact_pairs)
         self._force = np.zeros(6)  # of one contact
         self._p_OC = scene.grasp.contacts.p_OC.tolist()  # last contact point of each finger, m
@@ -107,8 +110,27 @@ class Plant:
 
     def state(self) -> GraspState:
         """Return the true state: joint positions and rates of the motors, pose and twist of the object in H."""
-        q, v = self.data.qpos[self._motor_q], self.data.qvel[self._motor_v]
+        q, v = self._motor_motion()
         return make_unchecked(GraspState, q=freeze(q), v=freeze(v), object=self.object_motion())
+
+    def _motor_motion(self) -> tuple[Array, Array]:
+        """Return positions and rates of the motors, (n,) rad and rad/s."""
+        scene, data = self.scene, self.data
+        if self._has_tendons:
+            q = scene.motor_map @ (data.qpos[scene.q_address] - scene.q0)
+            v = scene.motor_map @ data.qvel[scene.v_address]
+        else:
+            q, v = data.qpos[self._motor_q], data.qvel[self._motor_v]
+        self.clutches.correct_state(data, q, v)
+        return q, v
+
+    def _apply_torques(self, tau: Array) -> None:
+        """Apply the torques of the motors to the joints, (n,), N·m."""
+        if self._has_tendons:
+            self.data.qfrc_applied[self.scene.v_address] = tau @ self.scene.motor_map
+        else:
+            self.data.qfrc_applied[self._motor_v] = tau
+        self.clutches.apply_torques(self.data, tau)
 
     def object_motion(self) -> BodyMotion:
         """Return the object's true pose and twist in H; the acceleration is zero."""
@@ -122,7 +144,8 @@ class Plant:
     def coupling_error(self) -> float:
         """Return the largest violation of a joint coupling, rad; m for prismatic joints."""
         q = self.data.qpos[self.scene.q_address]
-        return float(np.abs(self.scene.T @ q[self.scene.motor_joints] + self.scene.q0 - q).max())
+        motors = self.scene.motor_map @ (q - self.scene.q0)
+        return float(np.abs(self.scene.T @ motors + self.scene.q0 - q).max())
 
     # ── simulation ─────────────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -146,10 +169,11 @@ class Plant:
         self._current = np.zeros(grasp.hand.n)  # A
         self.gear_friction = np.zeros(grasp.hand.n)
         self.external_wrench = np.zeros(6)
+        self.clutches = Clutches(grasp.hand, self.model)
         q = preload_contacts(scene, self.model, self.data, f[grasp.contacts.normal_rows])
         J = grasp.hand.contact_jacobian(q, grasp.fingers, grasp.contacts, grasp.p_HO, grasp.R_HO)
         tau = grasp.hand.gravity_torque(q, scene.gravity_H) + J.T @ f
-        self.data.qfrc_applied[self._motor_v] = tau
+        self._apply_torques(tau)
         mujoco.mj_forward(self.model, self.data)
         self._true_contacts = self._read_contacts(tau)
         return self.state()
@@ -168,18 +192,19 @@ class Plant:
         """
         hand, data = self.scene.grasp.hand, self.data
         command = arrays.check_array(tau, "tau", (hand.n,))
-        rows = self._motor_v
         if self._motors is None:
             applied_torque = np.clip(command, hand.torque_lower, hand.torque_upper)
         else:
-            motors = self._motors.step(self._current, command, data.qvel[rows], self.dt)
+            motors = self._motors.step(self._current, command, self._motor_motion()[1], self.dt)
             applied_torque, self._current = motors.tau, motors.current
         data.xfrc_applied[:] = 0.0
         data.xfrc_applied[self.scene.object_body] = self.external_wrench
         for disturbance in self._disturbances:
             applied_torque = disturbance.apply(self, self.t, applied_torque)
-        data.qfrc_applied[rows] = applied_torque
+        self._apply_torques(applied_torque)
         step_engine(self.model, data, self._next_data)
+        if self.clutches.stops:
+            self.clutches.switch(self.model, data, self._motor_motion()[0], applied_torque)
         self._true_contacts = self._read_contacts(applied_torque)
         return self.state()
 

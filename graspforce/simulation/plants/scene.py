@@ -23,7 +23,7 @@ from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import ModelError
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
-from graspforce.hand.hand import GRAVITY_PALM_UP
+from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
 from graspforce.simulation.plants import meshes
 from graspforce.simulation.plants.engine_settings import EngineSettings
 from graspforce.simulation.plants.link_geoms import LINK_FRICTION, add_link_geoms
@@ -38,6 +38,7 @@ from graspforce.simulation.plants.scene_parts import (
     moving_joints,
     set_engine_options,
 )
+from graspforce.simulation.plants.tendon_parts import motor_map
 
 TipGeometry = Literal["ball", "mesh"]
 
@@ -61,7 +62,8 @@ class Scene:
         v_address: (n_moving,) indices of the moving joints in qvel.
         T: (n_moving, n) coupling matrix: positions of the moving joints are T q + q0.
         q0: (n_moving,) coupling offsets, rad.
-        motor_joints: (n,) indices of the motors' joints among the moving joints.
+        motor_joints: (n,) indices of the motors' joints among the moving ones; of an opposed motion, of one of its joints.
+        motor_map: (n, n_moving) S: motors' coordinates q = S (positions of the moving joints − q0).
         object_q_address: index of the object's first coordinate in qpos.
         object_v_address: index of the object's first velocity in qvel.
         object_body: index of the object's body.
@@ -83,6 +85,7 @@ class Scene:
     T: Array
     q0: Array
     motor_joints: npt.NDArray[np.intp]
+    motor_map: Array
     object_q_address: int
     object_v_address: int
     object_body: int
@@ -232,7 +235,8 @@ def _index_scene(grasp: Grasp, gravity_H: Array, engine: EngineSettings, spec: m
         v_address=np.array([model.jnt_dofadr[j] for j in joints], dtype=np.intp),
         T=freeze(hand.T[is_moving]),
         q0=freeze(hand.q0[is_moving]),
-        motor_joints=np.array([moving.index(joint.name) for joint in hand.joints], dtype=np.intp),
+        motor_joints=np.array([_motor_joint(hand, column, moving) for column in range(hand.n)], dtype=np.intp),
+        motor_map=motor_map(hand, moving),
         object_q_address=int(model.jnt_qposadr[free_joint]),
         object_v_address=int(model.jnt_dofadr[free_joint]),
         object_body=int(model.body(OBJECT).id),
@@ -243,6 +247,13 @@ def _index_scene(grasp: Grasp, gravity_H: Array, engine: EngineSettings, spec: m
         contact_pairs=tuple(int(model.pair(f"tip {name} on {OBJECT}").id) for name in grasp.fingers),
         tip_radius=freeze(_tip_radii(grasp)),
     )
+
+
+def _motor_joint(hand: Hand, column: int, moving: list[str]) -> int:
+    """Return the index of a motor's joint among the moving ones; the last joint of an opposed motion."""
+    if hand.joints[column].name in moving:
+        return moving.index(hand.joints[column].name)
+    return moving.index(hand.full_joints[int(np.flatnonzero(hand.T[:, column])[-1])])
 
 
 def _tip_radii(grasp: Grasp) -> list[float]:

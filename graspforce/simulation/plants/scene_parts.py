@@ -15,6 +15,7 @@ from graspforce.grasp.grasp import Grasp
 from graspforce.hand.hand import Hand
 from graspforce.hand.kinematics.kinematic_tree import KinematicTree, Link
 from graspforce.simulation.plants.engine_settings import EngineSettings
+from graspforce.simulation.plants.tendon_parts import CLOSED, add_breakaways, add_differentials, find_free_differentials
 
 OBJECT = "object"
 FLOOR = "floor"
@@ -80,6 +81,7 @@ def add_hand(spec: mujoco.MjSpec, hand: Hand, tree: KinematicTree, engine: Engin
     """
     is_moving = moving_joints(hand)
     rotor_inertia = dict(zip([joint.name for joint in hand.joints], hand.rotor_inertia, strict=True))
+    free = {name for each in find_free_differentials(hand) for name in each.joints}
     bodies: list[mujoco.MjsBody] = []
     for i, link in enumerate(tree.links):
         parent = spec.worldbody if link.parent < 0 else bodies[link.parent]
@@ -92,18 +94,20 @@ def add_hand(spec: mujoco.MjSpec, hand: Hand, tree: KinematicTree, engine: Engin
             kind = mujoco.mjtJoint.mjJNT_SLIDE if link.is_prismatic else mujoco.mjtJoint.mjJNT_HINGE
             joint = body.add_joint(name=link.joint, type=kind, axis=link.axis)
             joint.limited, joint.range = True, [link.lower, link.upper]
-            joint.armature = rotor_inertia.get(link.joint, 0.0)  # the diagonal matrix D, at the motors' joints
+            joint.armature = 0.0 if link.joint in free else rotor_inertia.get(link.joint, 0.0)  # D, at the motors' joints
         bodies.append(body)
     for row, name in enumerate(hand.full_joints):
-        if is_moving[row] and name not in rotor_inertia:
+        if is_moving[row] and name not in rotor_inertia and name not in free:
             _add_coupling(spec, hand, row, engine)
+    add_differentials(spec, hand)
+    add_breakaways(spec, hand, engine)
     return bodies
 
 
 def _add_coupling(spec: mujoco.MjSpec, hand: Hand, row: int, engine: EngineSettings) -> None:
     """Add the constraint between a dependent joint and its leading joint."""
     name, column = hand.full_joints[row], int(np.flatnonzero(hand.T[row])[0])
-    equality = spec.add_equality(type=mujoco.mjtEq.mjEQ_JOINT, objtype=mujoco.mjtObj.mjOBJ_JOINT, name=f"{name} follows")
+    equality = spec.add_equality(type=mujoco.mjtEq.mjEQ_JOINT, objtype=mujoco.mjtObj.mjOBJ_JOINT, name=f"{name}{CLOSED}")
     equality.name1, equality.name2 = name, hand.joints[column].name
     equality.data[:5] = [hand.q0[row], hand.T[row, column], 0.0, 0.0, 0.0]
     equality.solref, equality.solimp = engine.coupling_solref, [*engine.coupling_solimp, 0.5, 2.0]

@@ -65,6 +65,7 @@ def compute_metrics(recording: Recording) -> RunMetrics:
     margin = recording.slip_margin
     slipping = (recording.touching > 0.0) & (recording.mu > 0.0) & (margin <= _SLIP_TOLERANCE * bound)
     limit = np.where(recording.tau >= 0.0, recording.torque_upper, -recording.torque_lower)
+    use = np.divide(np.abs(recording.tau), limit, out=np.zeros_like(limit), where=limit > 0.0)  # not of joints without motor
     return RunMetrics(
         position_error_rms=_rms(position_error),
         position_error_peak=float(position_error.max()),
@@ -74,7 +75,7 @@ def compute_metrics(recording: Recording) -> RunMetrics:
         min_planned_margin=float(recording.planned_margin.min()),
         force_error=_rms(f_planned - f_plant) / max(_rms(f_plant), 1e-12),
         max_cone_violation=float(violation.max()),
-        max_torque_fraction=float((np.abs(recording.tau) / limit).max()),
+        max_torque_fraction=float(use.max()),
         lost_contact_steps=int((recording.touching.min(axis=1) == 0.0).sum()),
         slip_steps=int(slipping.any(axis=1).sum()),
         reused_force_steps=int(recording.forces_reused.sum()),

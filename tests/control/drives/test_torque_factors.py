@@ -7,19 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.allegro_grasp import PALM_UP, three_finger_grasp
+from support.hands import load
 from support.simulated_runs import start_of
 
 from graspforce.control import ControlSettings, OutputFeedbackController
-from graspforce.control.drives.torque_factors import TorqueFactorEstimator, TorqueFactors
+from graspforce.control.drives.torque_factors import TorqueFactorEstimator, TorqueFactors, null_space_part
 from graspforce.core.errors import InvalidInput
 from graspforce.estimation import SensorModel
-from graspforce.hand.drives.drive import Drive, Drives
+from graspforce.hand.drives.drive import Drive
 from graspforce.simulation import World, linear_reference, make_world_plant, simulate_measured
 
-N = 9
+N = 12
 GAIN = np.full(6, 5e4)  # 1/s³
-DRIVES = Drives((Drive("current", torque_constant=1.0, torque_error=0.2),) * N)
-ESTIMATOR = TorqueFactorEstimator(DRIVES, GAIN)
+HAND = load("four_finger")
+DRIVE = Drive("current", torque_constant=1.0, torque_error=0.2)
+ESTIMATOR = TorqueFactorEstimator(HAND.with_drives(DRIVE), GAIN, 1e-3)
+STILL = np.zeros(HAND.n)
 
 
 def random_sensitivity(rng: np.random.Generator) -> np.ndarray:
@@ -33,7 +36,7 @@ def test_integral_stays_while_the_torques_do() -> None:
     for _ in range(5):
         given = 1e-5 * rng.standard_normal(6)
         before = factors
-        factors, integral = ESTIMATOR.step(factors, S, tau, given)
+        factors, integral = ESTIMATOR.step(factors, S, tau, given, STILL)
         np.testing.assert_allclose(integral, given, rtol=0.0, atol=1e-18)
     assert before is not None
 
@@ -41,8 +44,8 @@ def test_integral_stays_while_the_torques_do() -> None:
 def test_integral_changes_by_the_learned_part_when_the_torques_change() -> None:
     rng = np.random.default_rng(2)
     S, tau, given = random_sensitivity(rng), rng.uniform(-0.5, 0.5, N), 1e-5 * rng.standard_normal(6)
-    factors, integral = ESTIMATOR.step(None, S, tau, given)
-    _, moved = ESTIMATOR.step(factors, S, 1.3 * tau, integral)
+    factors, integral = ESTIMATOR.step(None, S, tau, given, STILL)
+    _, moved = ESTIMATOR.step(factors, S, 1.3 * tau, integral, STILL)
     np.testing.assert_allclose(moved - integral, 0.3 * (S * tau) @ factors.errors / GAIN, rtol=1e-9)
 
 
@@ -52,9 +55,8 @@ def test_errors_converge_to_those_of_the_drives() -> None:
     S, first, factors = random_sensitivity(rng), rng.uniform(-0.5, 0.5, N), None
     for _ in range(2000):
         tau = first + rng.uniform(-0.2, 0.2, N)
-        factors, _ = ESTIMATOR.step(
-            factors, S, tau, (S * tau) @ true / GAIN if factors is None else needed(factors, S, tau, true)
-        )
+        integral = (S * tau) @ true / GAIN if factors is None else needed(factors, S, tau, true)
+        factors, _ = ESTIMATOR.step(factors, S, tau, integral, STILL)
     np.testing.assert_allclose(factors.errors, true, atol=1e-3)
 
 
@@ -65,26 +67,46 @@ def needed(factors: TorqueFactors, S: np.ndarray, tau: np.ndarray, true: np.ndar
 
 def test_errors_stay_within_the_stated_ones() -> None:
     rng = np.random.default_rng(4)
-    drives = Drives(tuple(replace(DRIVES.joints[0], torque_error=0.05 * (i % 2)) for i in range(N)))
-    estimator = TorqueFactorEstimator(drives, GAIN)
-    factors, _ = estimator.step(None, random_sensitivity(rng), rng.uniform(-0.5, 0.5, N), 1e-2 * rng.standard_normal(6))
-    assert (np.abs(factors.errors) <= drives.values("torque_error")).all()
+    drives = [replace(DRIVE, torque_error=0.05 * (i % 2)) for i in range(N)]
+    hand = HAND.with_drives(drives)
+    S, tau, integral = random_sensitivity(rng), rng.uniform(-0.5, 0.5, N), 1e-2 * rng.standard_normal(6)
+    factors, _ = TorqueFactorEstimator(hand, GAIN, 1e-3).step(None, S, tau, integral, STILL)
+    assert (np.abs(factors.errors) <= hand.drives.values("torque_error")).all()
     assert factors.errors[0] == 0.0
+
+
+def test_posture_moves_against_its_drift_up_to_half_the_joint_range() -> None:
+    drift, factors = np.linspace(-0.1, 0.1, N), None
+    for _ in range(10):
+        factors, _ = ESTIMATOR.step(factors, np.zeros((6, N)), STILL, np.zeros(6), drift)
+    np.testing.assert_allclose(factors.posture, 10 * 5.0 * 1e-3 * drift)
+    factors, _ = ESTIMATOR.step(factors, np.zeros((6, N)), STILL, np.zeros(6), 1e6 * drift)
+    np.testing.assert_allclose(np.abs(factors.posture), 0.5 * (HAND.q_upper - HAND.q_lower))
+
+
+def test_null_space_part_moves_no_contact() -> None:
+    rng = np.random.default_rng(7)
+    A, e = rng.standard_normal((5, N)), rng.standard_normal(N)
+    part = null_space_part(A, e, 1e-6)
+    np.testing.assert_allclose(A @ part, 0.0, atol=1e-12)
+    np.testing.assert_allclose(null_space_part(A, part, 1e-6), part, atol=1e-12)
+    assert np.linalg.norm(part) > 0.1
 
 
 @pytest.mark.parametrize(("error", "gain", "is_active"), [(0.2, GAIN, True), (0.0, GAIN, False), (0.2, 0.0 * GAIN, False)])
 def test_estimate_needs_stated_errors_and_an_integral(error: float, gain: np.ndarray, is_active: bool) -> None:
-    drives = Drives((Drive("current", torque_constant=1.0, torque_error=error),) * N)
-    assert TorqueFactorEstimator(drives, gain).is_active is is_active
+    hand = HAND.with_drives(replace(DRIVE, torque_error=error))
+    assert TorqueFactorEstimator(hand, gain, 1e-3).is_active is is_active
 
 
 def test_record_round_trip_and_its_errors() -> None:
-    factors = TorqueFactors(np.arange(3.0), np.arange(6.0))
+    factors = TorqueFactors(np.arange(3.0), np.arange(6.0), np.arange(3.0))
     again = TorqueFactors.from_dict(factors.to_dict())
     np.testing.assert_array_equal(again.errors, factors.errors)
     np.testing.assert_array_equal(again.integral, factors.integral)
+    np.testing.assert_array_equal(again.posture, factors.posture)
     with pytest.raises(InvalidInput, match=r"memory\.torque_factors\.integral"):
-        TorqueFactors.from_dict({"errors": [0.0], "integral": [1.0]}, "memory.torque_factors")
+        TorqueFactors.from_dict({"errors": [0.0], "integral": [1.0], "posture": [0.0]}, "memory.torque_factors")
 
 
 def moved_error(drive: Drive, world: World) -> float:
