@@ -1,15 +1,16 @@
 """Rigorous certificates against an exact checker: `python -m benchmarks.rigorous --count 100000 --mutations 10000`.
 
 Random problems of two to eight contacts, a third of them overloaded, in units of force from 1e-12 to 1e12 and of length from
-1e-3 to 1e3. Each solution with a verdict gets a proof, which `check_proof.py` decides in exact rational arithmetic. "Not
+1e-3 to 1e3: with exact cones or pyramids and every objective, or with --simple exact cones and the objectives torque, force and
+sum_normal only. Each solution with a verdict gets a proof, which `check_proof.py` decides in exact rational arithmetic. "Not
 proven" are verdicts whose rounding bounds are too large for a proof: they claim nothing.
 
 Mutations replace one number of a valid proof by another one. With the old checksum all must be refused. With a new checksum the
 exact checker decides about a statement on other data: those that it accepts change a number by less than the proof's room, or
 one on which the proof does not depend.
 
-The times are medians of repeated calls on one problem of four contacts and twelve motors, plain and rigorous: in Python, and in
-C without conversion of arguments (`benchmarks/rigorous_time.c`).
+The times are medians of repeated calls on one problem of four contacts and twelve motors, plain and rigorous: in Python for
+some cones and objectives, and in C without conversion of arguments for exact cones (`benchmarks/rigorous_time.c`).
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -40,36 +42,45 @@ from support.other_units import in_other_units
 from support.random_problems import random_problem
 
 ROOT = Path(__file__).parents[1]
-OBJECTIVES = ("torque", "force", "sum_normal")
+SIMPLE = ("torque", "force", "sum_normal")
+TIMED = (
+    ("exact cones, torque", None, "torque"),
+    ("exact cones, largest normal force", None, "max_normal"),
+    ("exact cones, slip margin", None, "margin"),
+    ("inner pyramids of 8 facets, torque", gf.Cone("pyramid", 8), "torque"),
+)
+TIMES_HEAD = ("certificate in Python", "plain (µs)", "rigorous (µs)", "ratio")
 HEAD = ("verdict", "claims", "checker agrees", "not proven")
 Proof = dict[str, Any]
 
 
-def problems(count: int, seed: int) -> Iterator[gf.ForceProblem]:
-    """Yield random problems with exact cones in random units.
+def problems(count: int, seed: int, simple: bool) -> Iterator[gf.ForceProblem]:
+    """Yield random problems in random units.
 
     Args:
         count: number of problems.
         seed: seed of the random numbers.
+        simple: exact cones and the objectives of `SIMPLE` only.
     """
     rng, made = np.random.default_rng(seed), 0
     while made < count:
         problem = random_problem(rng)
-        if problem.cone.type == "exact" and problem.objective.type in OBJECTIVES:
+        if not simple or (problem.cone.type == "exact" and problem.objective.type in SIMPLE):
             made += 1
             yield in_other_units(problem, 10.0 ** rng.uniform(-12.0, 12.0), 10.0 ** rng.uniform(-3.0, 3.0))
 
 
-def count_claims(count: int, seed: int) -> tuple[Counter[tuple[str, str]], list[Proof]]:
+def count_claims(count: int, seed: int, simple: bool) -> tuple[Counter[tuple[str, str]], list[Proof]]:
     """Return the number of outcomes by verdict, and some valid proofs.
 
     Args:
         count: number of problems.
         seed: seed of the random numbers.
+        simple: as in `problems`.
     """
     outcomes: Counter[tuple[str, str]] = Counter()
     kept: list[Proof] = []
-    for problem in problems(count, seed):
+    for problem in problems(count, seed, simple):
         solution = gf.solve(problem, explain=False)
         status = "optimal" if solution.found else solution.status.value
         if status == "failed":
@@ -147,13 +158,17 @@ def nearest_cases() -> tuple[int, int]:
     return len(names), proven
 
 
-def python_times() -> tuple[float, float]:
-    """Return the median times of a plain and a rigorous certificate of one problem, s."""
-    problem = gf.problems.load("trajectory/carry-1-000").problem
-    solution = gf.solve(problem)
-    m = solution.multipliers
-    assert m is not None  # an optimum has multipliers
-    return _median(lambda: certify(problem, solution.f, m)), _median(lambda: certify(problem, solution.f, m, rigorous=True))
+def python_times() -> list[tuple[str, float, float]]:
+    """Return name and median times of a plain and a rigorous certificate for each cone and objective, s."""
+    given, times = gf.problems.load("trajectory/carry-1-000").problem, []
+    for name, cone, objective in TIMED:
+        problem = gf.ForceProblem(given.contacts, given.w, given.actuation, cone, gf.Objective(objective))
+        solution = gf.solve(problem)
+        f, m = solution.f, solution.multipliers
+        assert m is not None  # an optimum has multipliers
+        plain = _median(partial(certify, problem, f, m))
+        times.append((name, plain, _median(partial(certify, problem, f, m, rigorous=True))))
+    return times
 
 
 def _median(run: Callable[[], object]) -> float:
@@ -188,8 +203,11 @@ def main() -> None:
     options.add_argument("--count", type=int, default=1000, help="number of problems")
     options.add_argument("--mutations", type=int, default=1000, help="number of mutations")
     options.add_argument("--seed", type=int, default=5, help="seed of the random numbers")
+    options.add_argument(
+        "--simple", action="store_true", help="exact cones and the objectives torque, force and sum_normal only"
+    )
     given = options.parse_args()
-    outcomes, proofs = count_claims(given.count, given.seed)
+    outcomes, proofs = count_claims(given.count, given.seed, given.simple)
     rows = []
     for status in ("optimal", "infeasible"):
         agrees, wrong = outcomes[status, "agrees"], outcomes[status, "wrong"]
@@ -197,18 +215,19 @@ def main() -> None:
     report_page.show("Rigorous certificates", HEAD, rows)
     old, new = count_mutations(proofs, given.mutations, given.seed)
     near, proven = nearest_cases()
-    plain, rigorous = python_times()
+    times = [(name, f"{1e6 * a:.0f}", f"{1e6 * b:.0f}", f"{b / a:.2f}") for name, a, b in python_times()]
     sentences = [
         f"{given.count} problems; {outcomes['failed', 'none']} without a verdict.",
         f"{given.mutations} mutations: {given.mutations - old} refused with the old checksum, "
         f"{given.mutations - new} with a new one.",
         f"Of the {near} infeasible cases of the library that are nearest to feasibility, {proven} are proven.",
-        f"Python: plain {1e6 * plain:.0f} µs, rigorous {1e6 * rigorous:.0f} µs ({rigorous / plain:.2f} ×).",
         c_times(),
     ]
     print("\n".join(sentences))
+    report_page.show("Times", TIMES_HEAD, times)
     if given.save:
-        tables = "\n\n".join([report_page.table(HEAD, rows), *filter(None, sentences)])
+        parts = [report_page.table(HEAD, rows), *filter(None, sentences), report_page.table(TIMES_HEAD, times)]
+        tables = "\n\n".join(parts)
         report_page.save(
             given.save, "Rigorous certificates", __doc__, report_page.facts(f"graspforce {gf.__version__}"), tables
         )

@@ -61,7 +61,7 @@ int main(void)
                 gf_proven_bounds bounds = {0.0, 0.0, 0.0, 0.0};
                 f[0] += 1e-9;
                 if (rigorous)
-                    (void)gf_bound_optimality(&hand, &problem, &places, &solution, &units, 1e6, scratch, distance, &bounds);
+                    (void)gf_bound_optimality(&hand, &problem, &places, NULL, &solution, &units, 1e6, scratch, distance, &bounds);
                 else
                     (void)gf_certify(&hand, &problem, &solution, &units, tau, z, scratch, &residuals);
                 sum += residuals.gap + bounds.gap;

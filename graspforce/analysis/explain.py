@@ -18,6 +18,7 @@ from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.lazy import plot_with
 from graspforce.force.backends import registry
+from graspforce.force.backends.protocol import SolverSettings
 from graspforce.force.infeasibility import (
     DeadlinePassed,
     smallest_friction_factor,
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 SCHEMA = "graspforce/explanation/1"
 _NAMED_LIMITS = 3  # limits that the first sentence names
 _NEGLIGIBLE_USE = 0.005  # a limit that prints as 0 %
+_SHORTEST_TIME = 1e-3  # s: a solver may start once after the deadline
 
 Result = TypeVar("Result")
 
@@ -167,7 +169,8 @@ def explain(
     Args:
         problem: the force problem.
         direction: (6,) direction of the payload about O, in O, N and N·m; by default none is computed.
-        seconds: time after which no further number is computed, s; by default all are. The solution is always computed.
+        seconds: time limit, s; by default none. Solvers stop then, and numbers that were not found are None. If the structured
+            kernel does not solve the problem in its microseconds, the solution may be missing too, with the status failed.
         contact_names: name of each contact; by default "contact 0", …
         joint_names: name of each joint; by default "joint 0", …
 
@@ -181,7 +184,8 @@ def explain(
     n = 0 if problem.actuation is None else len(problem.actuation.tau_u)
     contacts = _names(contact_names, "contact", len(problem.contacts))
     joints = _names(joint_names, "joint", n)
-    solution = solve(problem, explain_seconds=max(deadline - time.perf_counter(), 0.0) if np.isfinite(limit) else None)
+    rest = max(deadline - time.perf_counter(), 0.0) if np.isfinite(limit) else None
+    solution = solve(problem, settings=_settings_until(deadline), explain_seconds=rest)
 
     def before_deadline(number: Callable[[], Result]) -> Result | None:
         if time.perf_counter() >= deadline:
@@ -191,14 +195,14 @@ def explain(
         except DeadlinePassed:
             return None
 
-    fraction = before_deadline(lambda: _wrench_fraction(problem))
-    payload = None if direction is None else before_deadline(lambda: largest_wrench(problem, direction))
+    fraction = before_deadline(lambda: _wrench_fraction(problem, deadline))
+    payload = None if direction is None else before_deadline(lambda: largest_wrench(problem, direction, deadline=deadline))
     why = solution.infeasibility
     solver = solver_with_deadline(registry.general_backend().solve_program, deadline)
     return Explanation(
         solution=solution,
         limits=tuple(sorted(_limit_uses(problem, solution, contacts, joints), key=lambda limit: -limit.used)),
-        slip_margin=before_deadline(lambda: _largest_margin(problem)) if solution.found else None,
+        slip_margin=before_deadline(lambda: _largest_margin(problem, deadline)) if solution.found else None,
         torque_factor=before_deadline(lambda: smallest_torque_factor(problem, solver)) if why is None else why.torque_factor,
         friction_factor=(
             before_deadline(lambda: smallest_friction_factor(problem, solver)) if why is None else why.friction_factor
@@ -242,18 +246,24 @@ def _limit_uses(problem: ForceProblem, solution: Solution, contacts: list[str], 
     return result
 
 
-def _largest_margin(problem: ForceProblem) -> float | None:
-    """Return the largest common slip margin, N; None without friction, or if no limit bounds it."""
+def _settings_until(deadline: float) -> SolverSettings:
+    """Return settings with the time until a deadline as the limit, at least a millisecond."""
+    rest = deadline - time.perf_counter()
+    return SolverSettings(time_limit=max(rest, _SHORTEST_TIME) if np.isfinite(rest) else None)
+
+
+def _largest_margin(problem: ForceProblem, deadline: float) -> float | None:
+    """Return the largest common slip margin, N; None without friction, if no limit bounds it, or after the deadline."""
     try:
         margin = ForceProblem(problem.contacts, problem.w, problem.actuation, problem.cone, Objective("margin"))
-        return solve(margin, explain=False).objective
+        return solve(margin, settings=_settings_until(deadline), explain=False).objective
     except InvalidInput:
         return None
 
 
-def _wrench_fraction(problem: ForceProblem) -> float | None:
+def _wrench_fraction(problem: ForceProblem, deadline: float) -> float | None:
     """Return the largest λ for which λ w is feasible; None for a wrench of zero, or if no λ is."""
     if not problem.w.any():
         return None
-    largest = largest_wrench(problem, problem.w, base=np.zeros(6))
+    largest = largest_wrench(problem, problem.w, base=np.zeros(6), deadline=deadline)
     return None if largest is None else largest.amount

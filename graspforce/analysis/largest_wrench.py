@@ -20,6 +20,7 @@ from graspforce.core.json_text import JsonRecord
 from graspforce.force.backends import registry
 from graspforce.force.cone_program import ConicProgram, ConicResult, conic_program
 from graspforce.force.extreme_optima import recession_problem
+from graspforce.force.infeasibility import ConicSolver, solver_with_deadline
 from graspforce.force.problem import ForceProblem
 from graspforce.force.problem_options import Objective
 
@@ -46,19 +47,27 @@ class LargestWrench:
         return {"amount": self.amount if finite else None, "wrench": self.wrench.tolist() if finite else None}
 
 
-def largest_wrench(problem: ForceProblem, direction: npt.ArrayLike, base: npt.ArrayLike | None = None) -> LargestWrench | None:
+def largest_wrench(
+    problem: ForceProblem,
+    direction: npt.ArrayLike,
+    base: npt.ArrayLike | None = None,
+    *,
+    deadline: float = np.inf,
+) -> LargestWrench | None:
     """Return the largest wrench base + t d that the contacts supply.
 
     Args:
         problem: the contacts, cones, motors and limits; its objective is not used.
         direction: (6,) d about O, in O, N and N·m; not zero.
         base: (6,) wrench that the contacts supply in any case; by default that of the problem.
+        deadline: time of the clock `time.perf_counter` at which the solver stops, s.
 
     Returns:
         The largest wrench; None if no t is feasible.
 
     Raises:
         InvalidInput: a direction of zero, a wrong shape, or numbers that are not finite.
+        DeadlinePassed: the deadline passed first.
     """
     d = arrays.check_array(direction, "direction", (6,))
     if not np.abs(d).max() > 0.0:
@@ -67,12 +76,13 @@ def largest_wrench(problem: ForceProblem, direction: npt.ArrayLike, base: npt.Ar
     unit = d / float(np.linalg.norm(d))
     size = max(float(np.linalg.norm(start)), _limit_size(problem)) or 1.0
     program = _wrench_program(problem, start, unit * size)
-    result = registry.general_backend().solve_program(program)
+    solve_program = solver_with_deadline(registry.general_backend().solve_program, deadline)
+    result = solve_program(program)
     if result.converged and _is_feasible(program, result):
         amount = float(result.x[-1]) * size / float(np.linalg.norm(d))
         forces = program.forces(result.x[:-1])
         return LargestWrench(amount, arrays.freeze(start + amount * d), arrays.freeze(forces))
-    return _unbounded_wrench(problem, start, unit)
+    return _unbounded_wrench(problem, start, unit, solve_program)
 
 
 def _limit_size(problem: ForceProblem) -> float:
@@ -113,9 +123,8 @@ def _is_feasible(program: ConicProgram, result: ConicResult) -> bool:
     return max(missed) <= _TOLERANCE * size
 
 
-def _unbounded_wrench(problem: ForceProblem, base: Array, direction: Array) -> LargestWrench | None:
+def _unbounded_wrench(problem: ForceProblem, base: Array, direction: Array, solve_program: ConicSolver) -> LargestWrench | None:
     """Return the wrench without bound if forces along the direction can grow for ever, and the base is feasible."""
-    solve_program = registry.general_backend().solve_program
     ray = _wrench_program(recession_problem(problem, Objective("force")), np.zeros(6), direction)
     bound = np.zeros((1, len(ray.q)))
     bound[0, -1] = 1.0

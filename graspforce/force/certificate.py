@@ -143,7 +143,6 @@ def certify(problem: ForceProblem, f: Array, multipliers: Multipliers, *, rigoro
         The certificate: verified at `TIGHT_TOLERANCE`, at `LOOSE_TOLERANCE`, or not at all.
 
     Raises:
-        UnsupportedProblem: rigorous, with pyramids or the objectives "max_normal" and "margin".
         BackendError: rigorous, and graspforce was installed without a C compiler.
     """
     if rigorous:
@@ -326,7 +325,6 @@ def certify_infeasibility(problem: ForceProblem, multipliers: Multipliers, *, ri
         rigorous: account for the rounding of the proof itself, so that `Certificate.proven` holds in exact arithmetic.
 
     Raises:
-        UnsupportedProblem: rigorous, with pyramids.
         BackendError: rigorous, and graspforce was installed without a C compiler.
     """
     proof = _measure_infeasibility(problem, multipliers)

@@ -10,8 +10,8 @@ absolute tolerances mean the same for every problem. `ConicProgram.forces` and `
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -148,7 +148,16 @@ class ConicResult:
     iterations: int
 
 
-ConicSolver = Callable[[ConicProgram], ConicResult]
+class ConicSolver(Protocol):
+    """A function that solves cone programs."""
+
+    def __call__(self, program: ConicProgram, time_limit: float | None = None) -> ConicResult:
+        """Return the result of a program.
+
+        Args:
+            program: the program.
+            time_limit: time after which the solver stops, s, > 0; the result is then not converged.
+        """
 
 
 def conic_program(problem: ForceProblem) -> ConicProgram:

@@ -184,17 +184,21 @@ class DeadlinePassed(Exception):
 
 
 def solver_with_deadline(solve_conic: ConicSolver, deadline: float) -> ConicSolver:
-    """Return a solver that raises `DeadlinePassed` instead of starting after a deadline.
+    """Return a solver that stops at a deadline, and then raises `DeadlinePassed`.
 
     Args:
-        solve_conic: solves a cone program.
+        solve_conic: solves a cone program within a time limit, s.
         deadline: time of the clock `time.perf_counter`, s.
     """
 
-    def solve_before_deadline(program: ConicProgram) -> ConicResult:
-        if time.perf_counter() > deadline:
+    def solve_before_deadline(program: ConicProgram, time_limit: float | None = None) -> ConicResult:
+        remaining = min(deadline - time.perf_counter(), math.inf if time_limit is None else time_limit)
+        if remaining <= 0.0:
             raise DeadlinePassed
-        return solve_conic(program)
+        result = solve_conic(program, remaining) if remaining < math.inf else solve_conic(program)
+        if not result.converged and time.perf_counter() >= deadline:
+            raise DeadlinePassed
+        return result
 
     return solve_before_deadline
 

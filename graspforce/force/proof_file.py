@@ -18,6 +18,7 @@ from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.whole_file import replace_file
 from graspforce.force.certificate import Certificate, certify, certify_infeasibility
+from graspforce.force.compiled_certificate import facet_friction, pyramid_vertices, used_level
 from graspforce.force.multipliers import Multipliers
 from graspforce.force.problem import ForceProblem
 from graspforce.force.scale import scale
@@ -33,15 +34,15 @@ def make_proof(solution: Solution) -> JsonRecord:
 
     The statement of an optimum: the forces violate the constraints by at most ``violation``, relative to ``units``, and no
     forces that satisfy all constraints, with normal forces at contacts without max_normal of a sum up to ``reach``, cost less
-    than the forces by more than ``gap``. Of an infeasible problem: no forces up to ``reach`` satisfy the constraints.
+    than the forces by more than ``gap``. With the objective "margin", the forces also satisfy the cones that are smaller by
+    ``slip_margin``, and no forces satisfy those smaller by more than ``slip_margin`` + ``gap``. Of an infeasible problem: no
+    forces up to ``reach`` satisfy the constraints. Pyramids are the cones over the polygons of the proof.
 
     Args:
-        solution: an optimal or infeasible one, with exact cones; the objective of an optimum is "torque", "force" or
-            "sum_normal".
+        solution: an optimal or infeasible one.
 
     Raises:
         InvalidInput: a solution without verdict, with an uncertainty, or whose proof does not hold in exact arithmetic.
-        UnsupportedProblem: pyramids, or another objective.
         BackendError: graspforce was installed without a C compiler.
     """
     problem, m = solution.original_problem, solution.multipliers
@@ -77,7 +78,7 @@ def write_proof(solution: Solution, path: str | os.PathLike[str]) -> None:
         path: path of the file.
 
     Raises:
-        InvalidInput, UnsupportedProblem, BackendError: as `make_proof`.
+        InvalidInput, BackendError: as `make_proof`.
     """
     text = json.dumps(make_proof(solution), indent=1)
     with replace_file(Path(path)) as temporary:
@@ -97,6 +98,7 @@ def digest(record: JsonRecord) -> str:
 def _data(problem: ForceProblem) -> JsonRecord:
     """Return the data of the statement: contacts with their frames, wrench, hand and objective."""
     c, objective = problem.contacts, problem.objective
+    polygons, facets = pyramid_vertices(problem), facet_friction(problem)
     contacts = [
         {
             "components": _COMPONENTS[c.models[i]],
@@ -106,6 +108,8 @@ def _data(problem: ForceProblem) -> JsonRecord:
             "torsional_friction": float(c.gamma[i]),
             "min_normal": float(c.min_normal[i]),
             "max_normal": _limit(c.max_normal[i]),
+            "polygon": polygons[i].tolist(),
+            "facet_friction": float(facets[i]),
         }
         for i in range(len(c))
     ]
@@ -118,6 +122,7 @@ def _data(problem: ForceProblem) -> JsonRecord:
             "force_weight": objective.force_weight,
             "moment_length": objective.moment_length,
         },
+        "separate_moment": problem.cone.side == "outer",
     }
 
 
@@ -136,6 +141,7 @@ def _multipliers(problem: ForceProblem, m: Multipliers, certificate: Certificate
         "torque_lower": lower.tolist(),
         "torque_upper": upper.tolist(),
         "distance": certificate.proven.distance.tolist(),
+        "level": used_level(m).tolist(),
     }
 
 

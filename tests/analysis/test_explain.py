@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from support.random_problems import random_problem
 
 from graspforce import Actuation, Contact, ForceProblem, InvalidInput, Status, explain, solve
 from graspforce.cli import main
+from graspforce.force.backends import clarabel
 
 
 def pair(weight: float, torque: float | None = None) -> ForceProblem:
@@ -80,6 +83,29 @@ def test_numbers_after_the_deadline_are_none(weight):
     record = json.loads(json.dumps(answer.to_dict(), allow_nan=False))
     assert record["wrench_fraction"] is record["nearest_wrench"] is None
     assert record["sentences"]
+
+
+def test_a_solver_in_progress_stops_at_the_deadline(monkeypatch):
+    """A program takes a second of a simulated clock, or its time limit: the number that it was for is None."""
+    clock, limits = [0.0], []
+    own = clarabel.ClarabelBackend()
+
+    def slow(program, time_limit=None):
+        result = own.solve_program(program)
+        limits.append(time_limit)
+        clock[0] += min(1.0, time_limit)
+        return dataclasses.replace(result, converged=time_limit >= 1.0)
+
+    backend = SimpleNamespace(name=own.name, solve=own.solve, start_session=own.start_session, solve_program=slow)
+    monkeypatch.setattr("graspforce.force.backends.registry.general_backend", lambda: backend)
+    for module in ("force.infeasibility", "analysis.explain"):
+        monkeypatch.setattr(f"graspforce.{module}.time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    answer = explain(pair(4.0), (0, 0, 1.0, 0, 0, 0), seconds=1.5)
+    assert answer.wrench_fraction == pytest.approx(10.0 / 4.0, rel=1e-6)
+    assert answer.payload is None
+    assert answer.friction_factor is answer.slip_margin is None
+    assert limits == pytest.approx([1.5, 0.5])
+    assert clock[0] == pytest.approx(1.5)
 
 
 def test_rejects_wrong_names_and_a_direction_of_zero():

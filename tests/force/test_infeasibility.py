@@ -50,7 +50,7 @@ def test_explanation_stops_at_its_deadline_and_keeps_the_proof(monkeypatch):
     """Each program takes a second of a simulated clock: the first factors are computed, the last one is not."""
     clock = [0.0]
 
-    def slow(program):
+    def slow(program, time_limit=None):
         clock[0] += 1.0
         return clarabel.ClarabelBackend().solve_program(program)
 

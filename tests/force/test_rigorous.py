@@ -7,6 +7,7 @@ import dataclasses
 import json
 import subprocess
 import sys
+from collections import Counter
 from fractions import Fraction
 from pathlib import Path
 
@@ -21,37 +22,37 @@ pytest.importorskip("graspforce.force.backends._structured", reason="the kernel 
 import graspforce as gf
 from graspforce.analysis import check_proof
 from graspforce.cli import app
-from graspforce.core.errors import InvalidInput, UnsupportedProblem
+from graspforce.core.errors import InvalidInput
 from graspforce.force.certificate import certify, certify_infeasibility
+from graspforce.force.problem_options import OBJECTIVE_TYPES
 from graspforce.force.proof_file import digest, make_proof, write_proof
 
-EXACT = ("torque", "force", "sum_normal")
 
-
-def exact_problems(count: int, seed: int) -> list[gf.ForceProblem]:
-    """Return random problems that rigorous certificates support, in units from 1e-12 to 1e12."""
+def random_problems(count: int, seed: int) -> list[gf.ForceProblem]:
+    """Return random problems with all cones and objectives, in units from 1e-12 to 1e12."""
     rng, problems = np.random.default_rng(seed), []
     while len(problems) < count:
         problem = random_problem(rng, overload_probability=0.4)
-        if problem.cone.type == "exact" and problem.objective.type in EXACT:
-            problems.append(in_other_units(problem, 10.0 ** rng.uniform(-12, 12), 10.0 ** rng.uniform(-3, 3)))
+        problems.append(in_other_units(problem, 10.0 ** rng.uniform(-12, 12), 10.0 ** rng.uniform(-3, 3)))
     return problems
 
 
 def test_exact_checker_agrees_with_every_claim():
-    verdicts = []
-    for problem in exact_problems(150, 31):
+    optimal, infeasible = Counter(), Counter()
+    for problem in random_problems(200, 31):
         solution = gf.solve(problem, explain=False)
         if solution.status is not gf.Status.FAILED:
             assert check_proof.check(make_proof(solution)) == ("optimal" if solution.found else "infeasible")
-            verdicts.append(solution.status)
-    assert verdicts.count(gf.Status.OPTIMAL) > 50
-    assert verdicts.count(gf.Status.INFEASIBLE) > 20
+            kind = "exact" if problem.cone.type == "exact" else problem.cone.side
+            counts = optimal if solution.found else infeasible
+            counts.update((kind, problem.objective.type))
+    assert min(optimal[name] for name in ("exact", "inner", "outer", *OBJECTIVE_TYPES)) >= 10, optimal
+    assert min(infeasible[name] for name in ("exact", "inner", "outer")) >= 5, infeasible
 
 
 def test_rigorous_certificates_are_tight():
     """The bounds on rounding do not change the verdict, and the gap is at least that of the plain certificate."""
-    for problem in exact_problems(60, 32):
+    for problem in random_problems(60, 32):
         solution = gf.solve(problem, explain=False)
         if solution.status is gf.Status.OPTIMAL:
             certificate = certify(problem, solution.f, solution.multipliers, rigorous=True)
@@ -66,7 +67,7 @@ def test_rigorous_certificates_are_tight():
 def test_claims_about_numbers_that_a_solver_did_not_find_are_true():
     """The bounds hold for any forces and multipliers: noise makes them larger, and the exact checker still agrees."""
     rng, gaps = np.random.default_rng(34), []
-    for problem in exact_problems(60, 35):
+    for problem in random_problems(60, 35):
         solution = gf.solve(problem, explain=False)
         if not solution.found:
             continue
@@ -190,13 +191,67 @@ def test_exact_gap_of_a_proof_is_within_its_claim():
 
 def test_unsupported_statements_are_refused():
     problem = gf.problems.load("ring/3-force").problem
-    with pytest.raises(UnsupportedProblem, match="exact cones"):
-        make_proof(gf.solve(gf.ForceProblem(problem.contacts, problem.w, cone=gf.Cone("pyramid", 4))))
-    with pytest.raises(UnsupportedProblem, match="max_normal"):
-        make_proof(gf.solve(gf.ForceProblem(problem.contacts, problem.w, objective=gf.Objective("max_normal"))))
     uncertain = gf.ForceProblem(problem.contacts, problem.w, uncertainty=gf.Uncertainty(friction_error=0.1))
     with pytest.raises(InvalidInput, match="uncertainty"):
         make_proof(gf.solve(uncertain))
+
+
+def pressed_pair(cone: gf.Cone | None = None, model: str = "point") -> gf.ForceProblem:
+    """Return two opposed contacts of at most 10 N with μ = 0.5 that bear 4 N upwards, for the largest slip margin.
+
+    Each needs 2 N of friction: the margin is 0.5 · 10 N − 2 N with exact cones. The tangent t₂ is upwards.
+    """
+    torsion = {"torsional_friction": 0.01} if model == "soft" else {}
+    contacts = [
+        gf.Contact((0, y, 0), (0, -y, 0), 0.5, model, tangent=(1, 0, 0), max_normal=10.0, **torsion) for y in (0.05, -0.05)
+    ]
+    return gf.ForceProblem(contacts, (0, 0, 4.0, 0, 0, 0), cone=cone, objective=gf.Objective("margin"))
+
+
+@pytest.mark.parametrize("model", ["point", "soft"])
+def test_largest_slip_margin_is_proven_for_exact_cones_and_pyramids(model):
+    """A facet of the square pyramid faces upwards: 0.5 cos 45° · 10 N − 2 N inside, and as the exact cone outside."""
+    for cone, margin in ((None, 3.0), (gf.Cone("pyramid", 4), 5.0 * np.sqrt(0.5) - 2.0), (gf.Cone("pyramid", 4, "outer"), 3.0)):
+        proof = make_proof(gf.solve(pressed_pair(cone, model)))
+        assert check_proof.check(proof) == "optimal"
+        assert proof["claim"]["slip_margin"] == pytest.approx(margin, abs=1e-6)
+        assert 0.0 <= proof["claim"]["gap"] < 1e-6
+        for change in (
+            lambda p: p["claim"].update(slip_margin=p["claim"]["slip_margin"] + 1e-6),
+            lambda p: p["claim"].update(gap=0.0, slip_margin=p["claim"]["slip_margin"] - 1e-3),
+            lambda p: [c.update(friction=1.01 * c["friction"], polygon=c["polygon"][::-1]) for c in p["contacts"]],
+        ):
+            mutated = copy.deepcopy(proof)
+            change(mutated)
+            mutated["digest"] = digest(mutated)
+            if mutated != proof:
+                with pytest.raises(check_proof.ProofError):
+                    check_proof.check(mutated)
+
+
+def test_levels_of_the_largest_normal_force_have_a_sum_of_at_most_one():
+    problem = gf.ForceProblem(gf.problems.load("ring/3-force").problem.contacts, (0, 0, 1.0, 0, 0, 0), None, None)
+    solution = gf.solve(gf.ForceProblem(problem.contacts, problem.w, objective=gf.Objective("max_normal")))
+    proof = make_proof(solution)
+    assert check_proof.check(proof) == "optimal"
+    assert sum(map(Fraction, proof["multipliers"]["level"])) <= 1
+    proof["multipliers"]["level"][0] += 1e-9
+    proof["digest"] = digest(proof)
+    with pytest.raises(check_proof.ProofError, match="out of range"):
+        check_proof.check(proof)
+
+
+def test_polygons_that_are_not_about_zero_are_refused():
+    """A cone over a polygon in clockwise order, or beside zero, has another dual cone than the edges give."""
+    problem = gf.problems.load("ring/3-force").problem
+    proof = make_proof(gf.solve(gf.ForceProblem(problem.contacts, problem.w, cone=gf.Cone("pyramid", 6))))
+    assert check_proof.check(proof) == "optimal"
+    for change in (lambda v: v[::-1], lambda v: [[x + 1.0, y] for x, y in v], lambda v: [[0.99 * x, 0.99 * y] for x, y in v]):
+        mutated = copy.deepcopy(proof)
+        mutated["contacts"][0]["polygon"] = change(mutated["contacts"][0]["polygon"])
+        mutated["digest"] = digest(mutated)
+        with pytest.raises(check_proof.ProofError):
+            check_proof.check(mutated)
 
 
 def test_numbers_that_overflow_prove_nothing():

@@ -78,6 +78,8 @@ static int normal_row(const gf_structure *s, int contact)
     return s->components[contact] == 1 ? 0 : 2;
 }
 
+#include "cone_data.inc"
+
 /* Compute a b = product + error exactly. */
 static double exact_product(double a, double b, double *error)
 {
@@ -193,9 +195,21 @@ static double cone_distance(const gf_ball *z, int components, double mu, double 
     return larger(0.0, upper_end(missing));
 }
 
+/* Return the pyramid of a contact, with the first vertex of the rest; without vertices the cone is exact. */
+static gf_pyramid contact_pyramid(const gf_structure *s, const gf_problem *problem, const gf_cone_data *cones, int contact,
+                                  const double **rest)
+{
+    const int count = cones != NULL && cones->vertices != NULL && s->components[contact] > 1 ? cones->vertices[contact] : 0;
+    const double gamma = s->components[contact] == 4 ? problem->gamma[contact] : 0.0;
+    const gf_pyramid pyramid = {count, s->components[contact], count > 0 && cones->separate_moment, gamma, *rest};
+    *rest += 2 * count;
+    return pyramid;
+}
+
 /* Compute z of a contact, and the number that moves it into K*. */
 static double contact_multipliers(const gf_structure *s, const gf_problem *problem, const gf_contact_places *at,
-                                  const gf_solution *x, const double *prices, int contact, int first, int with_cost, gf_ball *z)
+                                  const gf_pyramid *pyramid, const gf_solution *x, const double *prices, int contact, int first,
+                                  int with_cost, gf_ball *z)
 {
     double arm[3];
     gf_ball v[3];
@@ -204,6 +218,7 @@ static double contact_multipliers(const gf_structure *s, const gf_problem *probl
     for (int c = 0; c < s->components[contact]; c++)
         z[c] = cone_multiplier(s, problem, at, x, v, prices, contact, c, first + c, with_cost);
     const int components = s->components[contact];
+    if (pyramid->count > 0) return pyramid_distance(pyramid, z);
     return cone_distance(z, components, components > 1 ? problem->mu[contact] : 0.0,
                          components == 4 ? problem->gamma[contact] : 0.0);
 }
@@ -230,8 +245,9 @@ static void add_wrench(const gf_contact_places *at, const double *f, int compone
     }
 }
 
-/* Return the largest amount by which a contact force may be outside its cone and its limits, N. */
-static double force_violation(const double *f, int components, double mu, double gamma, double lowest, double highest)
+/* Return the largest amount by which a contact force may be outside its cone, less a slip margin, and its limits, N. */
+static double force_violation(const double *f, int components, double mu, double gamma, double lowest, double highest,
+                              double margin)
 {
     const double normal = f[components == 1 ? 0 : 2];
     double worst = larger(-normal, larger(lowest - normal, normal - highest));
@@ -243,13 +259,28 @@ static double force_violation(const double *f, int components, double mu, double
         } else if (components == 4) {
             worst = larger(worst, fabs(f[3]));
         }
-        worst = larger(worst, load - mu * normal + 16.0 * U * (load + mu * fabs(normal)));
+        worst = larger(worst, load - (mu * normal - margin) + 16.0 * U * (load + mu * fabs(normal) + fabs(margin)));
     }
     return larger(0.0, worst + 16.0 * U * (fabs(worst) + fabs(normal))) * (1.0 + 16.0 * U);
 }
 
-int gf_bound_optimality(const gf_structure *s, const gf_problem *problem, const gf_contact_places *at, const gf_solution *x,
-                        const gf_units *units, double reach, double *scratch, double *distance, gf_proven_bounds *bounds)
+/* Return the largest amount by which a contact force may be outside its cone or pyramid and its limits, N. */
+static double contact_violation(const gf_problem *problem, const gf_pyramid *pyramid, const gf_cone_data *cones,
+                                const double *f, int contact)
+{
+    const double mu = pyramid->components > 1 ? problem->mu[contact] : 0.0, least = problem->min_normal[contact];
+    const double facet = cones != NULL && cones->facet_friction != NULL ? cones->facet_friction[contact] : 0.0;
+    const double margin = facet > 0.0 ? cones->slip_margin : 0.0, most = problem->max_normal[contact];
+    if (pyramid->count == 0) return force_violation(f, pyramid->components, mu, pyramid->gamma, least, most, margin);
+    const double shift = facet > 0.0 ? margin / facet : 0.0;
+    const double cone = pyramid_violation(pyramid, f, (gf_ball){shift, SLACK * U * fabs(shift) + TINY});
+    const double limits = larger(least - f[2], f[2] - most);
+    return larger(cone, limits + 16.0 * U * (fabs(limits) + fabs(f[2])));
+}
+
+int gf_bound_optimality(const gf_structure *s, const gf_problem *problem, const gf_contact_places *at,
+                        const gf_cone_data *cones, const gf_solution *x, const gf_units *units, double reach, double *scratch,
+                        double *distance, gf_proven_bounds *bounds)
 {
     if (s->facets > 0 || s->span != NULL) return 0;
     const int n = s->joints;
@@ -259,13 +290,15 @@ int gf_bound_optimality(const gf_structure *s, const gf_problem *problem, const 
     motor_torques(s, problem, k, x->f, tau, tau_error);
     torque_prices(s, problem, x, tau, tau_error, prices, prices + n);
 
-    gf_sum gap = {0.0, 0.0, 0.0, 0}, balance[6] = {{0.0, 0.0, 0.0, 0}};
+    const int is_margin = cones != NULL && cones->facet_friction != NULL;
+    const double *vertex = cones != NULL ? cones->vertex : NULL;
+    gf_sum gap = {0.0, 0.0, 0.0, 0}, balance[6] = {{0.0, 0.0, 0.0, 0}}, shares = {0.0, 0.0, 0.0, 0};
     for (int i = 0, first = 0; i < s->contacts; first += s->components[i++]) {
         const int components = s->components[i];
         const double *f = x->f + first, most = problem->max_normal[i], normal = f[normal_row(s, i)];
-        const double mu = components > 1 ? problem->mu[i] : 0.0, gamma = components == 4 ? problem->gamma[i] : 0.0;
+        const gf_pyramid pyramid = contact_pyramid(s, problem, cones, i, &vertex);
         gf_ball z[4];
-        distance[i] = contact_multipliers(s, problem, at, x, prices, i, first, 1, z);
+        distance[i] = contact_multipliers(s, problem, at, &pyramid, x, prices, i, first, !is_margin, z);
         add_wrench(at, f, components, i, balance);
         for (int c = 0; c < components; c++) add_product(&gap, z[c], exact(f[c]));
         const gf_ball below = difference(exact(normal), exact(problem->min_normal[i]));
@@ -276,8 +309,13 @@ int gf_bound_optimality(const gf_structure *s, const gf_problem *problem, const 
         } else {
             open = larger(open, distance[i]);
         }
-        const double outside = force_violation(f, components, mu, gamma, problem->min_normal[i], most);
-        violation = larger(violation, outside / units->force);
+        if (is_margin && cones->facet_friction[i] > 0.0) {
+            const double facet = cones->facet_friction[i], inverse = 1.0 / facet;
+            const gf_ball along = {inverse, U * inverse + TINY};
+            add_product(&shares, z[normal_row(s, i)], along);
+            add_product(&shares, exact(distance[i]), along);
+        }
+        violation = larger(violation, contact_violation(problem, &pyramid, cones, f, i) / units->force);
     }
     add_product(&gap, exact(open), exact(reach));
     for (int j = 0; j < n; j++) {
@@ -302,23 +340,27 @@ int gf_bound_optimality(const gf_structure *s, const gf_problem *problem, const 
         const double size = larger(upper_end(error), -lower_end(error));
         violation = larger(violation, size / (r < 3 ? units->force : units->force * units->length));
     }
-    *bounds = (gf_proven_bounds){violation * (1.0 + 16.0 * U), larger(0.0, upper_end(total(gap))), 0.0,
-                                 open > 0.0 ? reach : INFINITY};
+    if (cones != NULL && cones->level != NULL) add_largest_normal(s, cones, x->f, &gap);
+    const double excess = is_margin ? margin_gap(total(gap), total(shares), cones->slip_margin) : upper_end(total(gap));
+    *bounds = (gf_proven_bounds){violation * (1.0 + 16.0 * U), larger(0.0, excess), 0.0, open > 0.0 ? reach : INFINITY};
     return 1;
 }
 
-int gf_prove_infeasibility(const gf_structure *s, const gf_problem *problem, const gf_contact_places *at, const gf_solution *x,
-                           double *scratch, double *distance, gf_proven_bounds *bounds)
+int gf_prove_infeasibility(const gf_structure *s, const gf_problem *problem, const gf_contact_places *at,
+                           const gf_cone_data *cones, const gf_solution *x, double *scratch, double *distance,
+                           gf_proven_bounds *bounds)
 {
     *bounds = (gf_proven_bounds){0.0, 0.0, 0.0, 0.0};
     if (s->facets > 0 || s->span != NULL) return 0;
+    const double *vertex = cones != NULL ? cones->vertex : NULL;
     double *prices = scratch, open = 0.0;
     torque_prices(s, problem, x, NULL, NULL, prices, prices + s->joints);
     gf_sum value = {0.0, 0.0, 0.0, 0};
     for (int i = 0, first = 0; i < s->contacts; first += s->components[i++]) {
         const double most = problem->max_normal[i];
+        const gf_pyramid pyramid = contact_pyramid(s, problem, cones, i, &vertex);
         gf_ball z[4];
-        distance[i] = contact_multipliers(s, problem, at, x, prices, i, first, 0, z);
+        distance[i] = contact_multipliers(s, problem, at, &pyramid, x, prices, i, first, 0, z);
         add_product(&value, exact(used(x->nu_lower[i], 0.0)), exact(problem->min_normal[i]));
         if (isfinite(most)) {
             add_product(&value, exact(-used(x->nu_upper[i], most)), exact(most));

@@ -47,9 +47,9 @@ class ClarabelBackend:
         """Return a session that solves every changed problem as a whole."""
         return SimpleSession(problem, lambda changed: self.solve(changed, settings))
 
-    def solve_program(self, program: ConicProgram) -> ConicResult:
-        """Return the result of a cone program, at the backend's own tolerance."""
-        return _solve_program(program, SolverSettings())
+    def solve_program(self, program: ConicProgram, time_limit: float | None = None) -> ConicResult:
+        """Return the result of a cone program, at the backend's own tolerance, as `ConicBackend.solve_program`."""
+        return _solve_program(program, SolverSettings(time_limit=time_limit))
 
 
 BACKENDS: tuple[Backend, ...] = (ClarabelBackend(),)

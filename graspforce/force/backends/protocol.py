@@ -110,11 +110,12 @@ class Backend(Protocol):
 class ConicBackend(Backend, Protocol):
     """A backend that solves every force problem, and cone programs in standard form."""
 
-    def solve_program(self, program: ConicProgram) -> ConicResult:
+    def solve_program(self, program: ConicProgram, time_limit: float | None = None) -> ConicResult:
         """Return the result of a cone program.
 
         Args:
             program: the program.
+            time_limit: time after which the solver stops, s, > 0; the result is then not converged.
         """
 
 
