@@ -18,9 +18,9 @@ from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.force.backends import registry
-from graspforce.force.cone_program import ConicProgram, ConicResult, conic_program
+from graspforce.force.cone_program import ConicProgram, ConicResult, ConicSolver, conic_program
 from graspforce.force.extreme_optima import recession_problem
-from graspforce.force.infeasibility import ConicSolver, solver_with_deadline
+from graspforce.force.infeasibility import solver_with_deadline
 from graspforce.force.problem import ForceProblem
 from graspforce.force.problem_options import Objective
 

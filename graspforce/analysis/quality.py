@@ -28,7 +28,6 @@ from graspforce.force.problem import ForceProblem
 SCHEMA = "graspforce/quality/1"
 
 _ANSWERS = {True: "yes", False: "no", None: "–"}
-_MOST_CONTACTS_OF_VOLUME = 8  # whose pyramids have a hull that takes about a second
 
 Measure = TypeVar("Measure")
 
@@ -54,7 +53,7 @@ class Quality:
         epsilon_limits: ball of wrenches about zero within the limits of normal forces and motors, N; None if no limit bounds
             the wrenches.
         disturbance: likewise about the wrench of the problem: the largest disturbance in any direction.
-        volume: bounds on the volume of the wrenches with Σ f_n ≤ 1 N, N⁶; None also for more than 8 contacts.
+        volume: bounds on the volume of the wrenches with Σ f_n ≤ 1 N, N⁶; closer for at most 50 contacts.
         contact_errors: errors of contact places and normals up to which force closure is guaranteed.
         payload_errors: errors of each contact up to which the wrench of the problem is held; None if not asked for.
     """
@@ -174,7 +173,7 @@ def quality(
         epsilon_each=before_deadline(lambda: wrench_ball(contacts, limit="each")),
         epsilon_limits=before_deadline(lambda: limited_wrench_ball(problem, np.zeros(6), deadline=deadline)),
         disturbance=before_deadline(lambda: limited_wrench_ball(problem, deadline=deadline)),
-        volume=before_deadline(lambda: wrench_volume(contacts)) if len(contacts) <= _MOST_CONTACTS_OF_VOLUME else None,
+        volume=before_deadline(lambda: wrench_volume(contacts)),
         contact_errors=None if epsilon is None else tolerated_contact_errors(contacts, epsilon.radius),
         payload_errors=before_deadline(lambda: payload_contact_errors(problem)) if payload_errors else None,
     )

@@ -6,6 +6,7 @@ Moments are about the contacts' centroid and divided by the characteristic lengt
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from dataclasses import dataclass
 
@@ -24,6 +25,7 @@ from graspforce.force.problem import ForceProblem
 from graspforce.force.problem_options import Objective
 from graspforce.force.status import Status
 
+_FACETS = ((50, 8), (200, 4), (math.inf, 3))  # largest number of contacts, and the facets of their pyramids
 _UNBOUNDED = 1e12  # force units: a larger support value comes from a set without bound
 
 
@@ -98,7 +100,7 @@ class _NoSupport(Exception):
     """There is no support value in a direction: the set is unbounded or empty, or the deadline has passed."""
 
 
-def wrench_volume(contacts: ContactSet, facets: int = 8) -> VolumeBounds:
+def wrench_volume(contacts: ContactSet, facets: int | None = None) -> VolumeBounds:
     """Return bounds on the volume of the wrenches that contacts with Σ f_n ≤ 1 N supply. Source: Li and Sastry (1988).
 
     The volume is that of the convex hull of zero and of the wrenches of all pyramid edges. Inner pyramids bound it from below
@@ -106,11 +108,14 @@ def wrench_volume(contacts: ContactSet, facets: int = 8) -> VolumeBounds:
 
     Args:
         contacts: the contacts.
-        facets: facets of each pyramid, 3 to 16: the time grows with about the third power of the number of edges.
+        facets: facets of each pyramid, 3 to 16; by default 8 for at most 50 contacts, 4 up to 200, and 3 for more, whose hulls
+            take about a second.
 
     Raises:
         InvalidInput: another number of facets.
     """
+    if facets is None:
+        facets = next(count for most, count in _FACETS if len(contacts) <= most)
     fields.check_integer(facets, "facets", minimum=3, maximum=16)
     return VolumeBounds(_pyramid_volume(contacts, facets, "inner"), _pyramid_volume(contacts, facets, "outer"))
 

@@ -16,10 +16,11 @@ from graspforce.analysis.ellipsoids import finger_ellipsoids, object_ellipsoid, 
 from graspforce.analysis.largest_wrench import largest_wrench
 from graspforce.analysis.wrench_set import limited_wrench_ball, wrench_volume
 from graspforce.cli import main
+from graspforce.contact import friction
 from graspforce.contact.closure import is_force_closed
 from graspforce.contact.inscribed_ball import build_hull
 from graspforce.contact.matrices import characteristic_length, normalised_grasp_matrix
-from graspforce.contact.quality import wrench_ball
+from graspforce.contact.quality import inscribed_ball_radius, wrench_ball
 
 
 def cube() -> list[Contact]:
@@ -108,6 +109,10 @@ def test_three_frictionless_contacts_on_a_disc_supply_planar_forces_only():
     # the moment about the common normal is the weakest wrench: γ/L for each newton
     assert closed.epsilon_sum.radius <= 0.2 <= closed.epsilon_sum.upper * (1 + 1e-9)
     assert closed.epsilon_sum.upper - closed.epsilon_sum.radius <= 2e-3
+    # with both contacts: for u = (a, b) in force and moment along x, h = 2 γ b while a ≤ γ b, least at a = γ b
+    each = 2.0 * 0.2 / np.hypot(1.0, 0.2)
+    assert closed.epsilon_each.radius <= each * (1 + 1e-9) <= closed.epsilon_each.upper * (1 + 2e-9)
+    assert closed.epsilon_each.upper - closed.epsilon_each.radius <= 2e-3
 
 
 def test_six_normals_of_a_cube_close_no_moment():
@@ -164,6 +169,45 @@ def test_volume_of_frictionless_contacts_is_that_of_their_hull():
     points = np.vstack([np.zeros(6), normalised_grasp_matrix(contacts).reshape(6, -1, 4)[:, :, 2].T])
     assert volume.lower == pytest.approx(build_hull(points).volume, rel=1e-9)
     assert volume.upper == pytest.approx(volume.lower, rel=1e-9)
+
+
+@pytest.mark.parametrize("count", [12, 60])
+def test_volume_of_many_contacts_is_bounded_from_both_sides(count):
+    """The volume of a hull of random forces on the cones, which the set contains, is below the upper bound."""
+    rng = np.random.default_rng(count)
+    contacts = contacts_around_object(rng, count, models=("point",))
+    volume = quality(ForceProblem(contacts, np.zeros(6))).volume
+    angle = rng.uniform(-np.pi, np.pi, (3, count))
+    forces = np.stack([contacts.mu * np.cos(angle), contacts.mu * np.sin(angle), np.ones((3, count)), np.zeros((3, count))], 2)
+    bases = normalised_grasp_matrix(contacts).reshape(6, -1, 4)
+    inside = build_hull(np.einsum("rnc,snc->snr", bases, forces).reshape(-1, 6))
+    assert 0.0 < volume.lower <= volume.upper
+    assert inside.volume <= volume.upper
+    assert volume.upper <= 5.0 * volume.lower
+
+
+def independent_radius(contacts: ContactSet, facets: int, limit: str) -> float:
+    """Return ε of inner pyramids from a hull of all edges, or for the L∞ limit of all sums of one edge or none each."""
+    L, bases = characteristic_length(contacts), normalised_grasp_matrix(contacts).reshape(6, -1, 4)
+    points = np.zeros((1, 6))
+    for i, (mu, gamma) in enumerate(zip(contacts.mu.tolist(), contacts.gamma.tolist(), strict=True)):
+        edges = (friction.pyramid_rays(facets, "inner", mu, gamma) * (1.0, 1.0, 1.0, 1.0 / L)) @ bases[:, i].T
+        if limit == "sum":
+            points = np.vstack([points, edges])
+        else:
+            points = (points[:, None] + np.vstack([np.zeros(6), edges])).reshape(-1, 6)
+    return inscribed_ball_radius(points)
+
+
+@pytest.mark.parametrize("limit", ["sum", "each"])
+def test_epsilon_equals_that_of_an_independent_hull(limit):
+    """`benchmarks.grasp_quality` compares 200 grasps."""
+    rng, closed = np.random.default_rng(17), 0
+    while closed < 4:
+        contacts = contacts_around_object(rng, 3, models=("point", "soft"))
+        expected = independent_radius(contacts, 3, limit)
+        assert wrench_ball(contacts, 3, limit).radius == pytest.approx(max(expected, 0.0), rel=1e-7, abs=1e-9)
+        closed += expected > 0.0
 
 
 def test_volume_bounds_narrow_with_more_facets():
