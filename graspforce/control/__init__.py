@@ -25,6 +25,7 @@ from graspforce.control.state import (
     desired_from_dict,
     object_motion,
 )
+from graspforce.control.uncertain_settings import settings_for_errors
 from graspforce.core.lazy import lazy_exports
 
 if TYPE_CHECKING:
@@ -53,6 +54,7 @@ __all__ = [
     "desired_from_dict",
     "friction_slip_margin",
     "object_motion",
+    "settings_for_errors",
     "write_controller",
 ]
 

@@ -261,7 +261,7 @@ class ControlSettings:
         """
         for name in ("centre_of_mass_error", "wrenches", "wrench_ellipsoid", "position_error", "torque_error"):
             if getattr(uncertainty, name).any():
-                allowed = "zero: the controller takes errors of friction, normals and mass; drives have their own errors"
+                allowed = "zero without a grasp: `control.settings_for_errors` covers all errors of a grasp at rest"
                 raise InvalidInput(f"uncertainty.{name}", getattr(uncertainty, name).tolist(), allowed)
         return dataclasses.replace(
             cls() if base is None else base,
