@@ -1,9 +1,10 @@
 """Settings of the object controller for all errors of a force problem, of one grasp at rest.
 
-Errors of friction, normals and mass are settings of their own. Errors of contact places, of the centre of mass, of the drives'
-gains and further wrenches take slip margin. With forces f of the controller, `graspforce.force.robust_limits.worst_case` bounds
-the least slip margin over all errors. The slip margin of the settings grows until this bound is the required one. Larger margins
-have larger forces, and with them larger losses, so that either few iterations suffice or no margin does.
+Errors of friction, normals and mass are settings of their own. Errors of contact places, of the centre of mass, of the
+drives' gains and further wrenches take slip margin. With forces f of the controller,
+`graspforce.force.robust_limits.worst_case` bounds the least slip margin over all errors. The slip margin of the settings
+grows until this bound is the required one. Larger margins have larger forces, and with them larger losses, so that either few
+iterations suffice or no margin does.
 """
 
 from __future__ import annotations
