@@ -101,7 +101,6 @@ def main() -> None:
         timed("ε, 5 contacts, 128 facets", given.calls, 5, lambda grasp: ferrari_canny(grasp, 128)),
         timed("ε, 5 contacts, 8 facets", given.calls, 5, lambda grasp: ferrari_canny(grasp, 8)),
         timed("ε, 5 contacts, exact cones", given.calls, 5, ferrari_canny),
-        timed("ε, f_n ≤ 1 N each, 5 contacts, exact cones", given.calls, 5, lambda grasp: ferrari_canny(grasp, None, "each")),
         timed("volume, 8 contacts", given.calls, 8, wrench_volume),
         timed("volume, 50 contacts", given.calls, 50, wrench_volume),
     ]

@@ -22,7 +22,6 @@ SHORT = {  # options of the short form, and a text that its output must contain
     "robust": (["--samples", "100", "--steps", "5"], "against closed forms"),
     "ros2_stream": (["--seconds", "1", "--corpus", "20", "--port", "0"], "20 of 20 joint states from the library and 20 of 20"),
     "rigorous": (["--count", "20", "--mutations", "50"], "50 refused with the old checksum"),
-    "grasp_quality": (["--grasps", "3", "--calls", "1"], "volume, 50 contacts"),
     "sensitivities": (["--count", "4"], "Of 28 blocks, 0 differ by more than 1e-5"),
     "structured_accuracy": (["--count", "5", "--sizes", "3"], "| 0.01 % over the largest load |"),
 }
