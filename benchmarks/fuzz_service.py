@@ -1,6 +1,7 @@
 """Fuzzing of the service in this process: `python -m benchmarks.fuzz_service`.
 
 The requests of ``docs/wire.md`` are mutated: fields removed, added and replaced, lists repeated, numbers scaled, bytes changed.
+Some keys are unknown, or ask for schemas, and some plans are cancelled.
 Each goes to the request handler, a stream or the planning code, in JSON or MessagePack. The law: each payload gets one reply,
 which can be decoded, and no error record has the code ``internal``.
 """
@@ -40,6 +41,7 @@ _REPLY_TIMEOUT = 120.0  # s
 _MAX_SHOWN = 20  # failures
 _MAX_BYTE_EDITS = 4
 _GRASP_SHARE = 0.03  # of the requests for grasps are sent, because a search takes a second
+_KEY_SHARE = 0.05  # of the requests have odd keys
 _BYTE_SHARE = 0.2  # of the mutations change bytes, the others fields
 _VALUES: tuple[Any, ...] = (
     *(None, True, False, "", "x", "\x1b[2J\x00", "ä" * 300, [], {}, [[]], [None], {"a": 1}, [[[]]], [{}]),
@@ -125,6 +127,9 @@ class FuzzTarget:
         """Return the reply to a payload."""
         if request.kind == "state":
             return self._open_stream(request.key).command(request.payload, request.codec)
+        if request.kind == "cancel":
+            is_active = self._plans.cancel(request.payload.decode(errors="surrogateescape"))
+            return Reply(True, protocol.encode({"cancelled": is_active}, request.codec), request.codec)
         if request.key not in self._handler.plan_keys:
             return self._handler.answer(request.key, request.payload, request.codec)
         replies: queue.SimpleQueue[Reply] = queue.SimpleQueue()
@@ -189,6 +194,9 @@ def mutated_payloads(seed: int, count: int) -> Iterator[Payload]:
     for _ in range(count):
         kind, key, record = chance.choice(wire_examples() if chance.random() < _GRASP_SHARE else light)
         codec = chance.choice(CODECS)
+        if chance.random() < _KEY_SHARE:
+            yield Payload(*_odd_key(chance), _encode(record, codec), codec)
+            continue
         if chance.random() < _BYTE_SHARE:
             yield Payload(kind, key, mutate_bytes(_encode(record, codec), chance), codec)
             continue
@@ -196,6 +204,17 @@ def mutated_payloads(seed: int, count: int) -> Iterator[Payload]:
         for _ in range(chance.randint(0, 3)):
             changed = mutate_record(changed, chance)
         yield Payload(kind, key, _encode(changed, codec), codec)
+
+
+def _odd_key(chance: random.Random) -> tuple[str, str]:
+    """Return kind and key of a request with an odd key: unknown, of a schema, of another version, or a cancellation."""
+    if chance.random() < 0.2:
+        return "cancel", "plans/cancel"
+    others = ["schema/solution", "schema/**", "graspforce/2/solve", "status"]
+    known = chance.choice([*others, *(key for _, key, _ in wire_examples())])
+    place = chance.randrange(len(known))
+    odd = chance.choice(["", "x", "/", "//", "*", "\x1b[2J", "ä" * 80, "\x00", "state"])
+    return "query", known[:place] + odd + known[place + chance.randint(0, 2) :]
 
 
 def mutate_record(record: Any, chance: random.Random) -> Any:
@@ -255,7 +274,8 @@ def fuzz(target: FuzzTarget, seed: int, count: int) -> tuple[dict[str, Counter[s
             code, text = code_of(reply), reply.payload.decode(errors="replace")
         except Exception as error:
             code, text = "none", repr(error)
-        name = f"{request.key}/state" if request.kind == "state" else request.key
+        known = {key for _, key, _ in wire_examples()}
+        name = f"{request.key}/state" if request.kind == "state" else request.key if request.key in known else "odd keys"
         outcomes.setdefault(name, Counter())[code] += 1
         if code in ("internal", "none"):
             failures.append((request, text))

@@ -262,12 +262,20 @@ class ServerUnderTest:
         return _resident_pages(self.pid) * os.sysconf("SC_PAGE_SIZE") / 2**20
 
     def files(self) -> int:
-        """Return the number of open files of the server's process."""
-        return len(os.listdir(f"/proc/{self.pid}/fd"))
+        """Return the number of open files of the server's process and its children."""
+        return self._count("fd")
 
     def threads(self) -> int:
-        """Return the number of threads of the server's process."""
-        return len(os.listdir(f"/proc/{self.pid}/task"))
+        """Return the number of threads of the server's process and its children."""
+        return self._count("task")
+
+    def _count(self, name: str) -> int:
+        """Return the number of entries of a folder of all processes."""
+        count = 0
+        for pid in (self.pid, *_children(self.pid)):
+            with contextlib.suppress(OSError):
+                count += len(os.listdir(f"/proc/{pid}/{name}"))
+        return count
 
 
 def _resident_pages(pid: int) -> int:

@@ -4,6 +4,8 @@ This process steps a stream at 1 kHz against `graspforce serve`. In each period 
 another process, behind a ring buffer of one message. A third process steps four more streams at 250 Hz, a fourth sends 50
 requests a second (control steps, force problems, status), a fifth plans a move every two seconds. The table compares the stream
 with the echo of the same run, and the resources of the server at the end with those after the first tenth of the time.
+Memory, open files and threads are those of the server's process and of its worker and planning processes. Skipped states are
+the server's own count: states that newer ones replaced before they were read.
 """
 
 from __future__ import annotations
@@ -53,6 +55,8 @@ class Samples:
         memory: of the server's process, MiB.
         files: its open files.
         threads: its threads.
+        all_memory: of all its processes, MiB.
+        skipped: states that the server skipped, of all streams.
     """
 
     stream: list[float] = field(default_factory=list)
@@ -62,6 +66,8 @@ class Samples:
     memory: list[float] = field(default_factory=list)
     files: list[int] = field(default_factory=list)
     threads: list[int] = field(default_factory=list)
+    all_memory: list[float] = field(default_factory=list)
+    skipped: list[int] = field(default_factory=list)
 
 
 def drive(client: Client, echo: Echo, server: ServerUnderTest, seconds: float) -> Samples:
@@ -83,10 +89,12 @@ def drive(client: Client, echo: Echo, server: ServerUnderTest, seconds: float) -
             if i % round(1.0 / PERIOD) == 0:
                 samples.times.append(time.perf_counter() - start)
                 samples.memory.append(server.own_memory())
+                samples.all_memory.append(server.memory())
                 samples.files.append(server.files())
                 samples.threads.append(server.threads())
             tick = max(tick + PERIOD, time.perf_counter())
             time.sleep(max(tick - time.perf_counter(), 0.0))
+        samples.skipped.append(sum(each.skipped for each in client.status().active_streams if each.id == stream.id))
     return samples
 
 
@@ -100,6 +108,8 @@ def judge(samples: Samples, requests: LoadResult, plans: LoadResult) -> list[tup
     settled = np.array(samples.times) > WARM_UP * samples.times[-1]
     times, memory = np.array(samples.times)[settled], np.array(samples.memory)[settled]
     slope = 3600.0 * float(np.polyfit(times, memory, 1)[0]) if len(times) > 2 else 0.0  # MiB/h
+    all_memory = np.array(samples.all_memory)[settled]
+    all_slope = 3600.0 * float(np.polyfit(times, all_memory, 1)[0]) if len(times) > 2 else 0.0  # MiB/h
     files, threads = np.array(samples.files)[settled], np.array(samples.threads)[settled]
     p99 = float(np.quantile(stream, 0.99) / np.quantile(echo, 0.99))
 
@@ -132,6 +142,18 @@ def judge(samples: Samples, requests: LoadResult, plans: LoadResult) -> list[tup
             f"{late[0]} and {late[1]} of {len(stream)}",
             "as many",
             late[0] <= late[1],
+        ),
+        row(
+            "states of the stream that the server skipped",
+            f"{samples.skipped[-1]} of {len(stream)}",
+            "0.5 %",
+            samples.skipped[-1] <= 0.005 * len(stream),
+        ),
+        row(
+            "memory of all processes of the server",
+            f"{all_memory[-1]:.0f} MiB, {all_slope:+.1f} MiB/h",
+            "+1 MiB/h",
+            all_slope <= 1.0,
         ),
         row("memory of the server's process", f"{memory[-1]:.0f} MiB, {slope:+.1f} MiB/h", "+1 MiB/h", slope <= 1.0),
         row("open files at begin and end", f"{files[0]} and {files[-1]}", "equal", bool(files[0] == files[-1])),

@@ -279,6 +279,9 @@ def _current_contacts(command: _LazyCommand) -> ContactSet:
 def _slip_margin(command: _LazyCommand) -> Array:
     """Return μ f_n − ‖f_t‖ with the true friction, (N,), N."""
     contacts = command._source.grasp.contacts
+    if contacts.size == 3 * len(contacts):  # point contacts
+        f_t1, f_t2, f_n = command.f.reshape(-1, 3).T
+        return np.asarray(contacts.mu * f_n - np.hypot(f_t1, f_t2))
     return friction.slip_margin(contacts.pad(command.f), contacts.mu, contacts.gamma)
 
 
@@ -312,6 +315,8 @@ def _drive(command: _LazyCommand) -> DriveCommand:
 def _uncontrollable(command: _LazyCommand) -> Array:
     """Return the uncontrollable twists in H's axes, (m, 6)."""
     uncontrollable = command._source.targets.accelerations.uncontrollable
+    if not uncontrollable.size:
+        return uncontrollable
     return np.asarray((uncontrollable.reshape(-1, 2, 3) @ command._source.state.object.R_HO.T).reshape(-1, 6))
 
 

@@ -12,6 +12,7 @@ GraspForceError
 └── ServiceError: a failed exchange between client and server
     ├── NoServer: no server is alive
     │   └── ServerLost: the server ended, or the connection to it broke, before it answered
+    ├── IncompatibleServer: the server's version lacks what the request needs
     ├── ServiceTimeout: a server is alive but did not reply in time
     ├── RequestRefused: the server rejected the request: overloaded, closing, past its deadline, too large or not permitted
     └── ErrorReply: the server replied with an error record
@@ -171,6 +172,10 @@ class NoServer(ServiceError):
 
 class ServerLost(NoServer):
     """A server was alive, but it ended or the connection to it broke before it answered; no other server is alive."""
+
+
+class IncompatibleServer(ServiceError):
+    """The server is of another version, and lacks what the request needs; the message names both."""
 
 
 class ServiceTimeout(ServiceError):

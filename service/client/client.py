@@ -40,6 +40,7 @@ from graspforce.service.client.replies import (
     report_progress,
 )
 from graspforce.service.client.server_presence import ServerPresence
+from graspforce.service.client.server_version import check_server
 from graspforce.service.client.stream import Stream
 from graspforce.service.client.watchdog import Watchdog
 from graspforce.service.client.zenoh_connection import ZenohConnection
@@ -72,6 +73,7 @@ class Client:
     - `NoServer`: no server is alive; `ServerLost` if one was alive and ended, or was disconnected, before it answered;
     - `ServiceTimeout`: a server is alive, but its answer did not arrive in time;
     - `RequestRefused`: the request or the connection was refused: overloaded, deadline exceeded, too large, or not permitted;
+    - `IncompatibleServer`: the server is of another version, and lacks what the request needs;
     - `ErrorReply`: the server returned an error record with code ``invalid``, ``unknown`` or ``internal``.
 
     If a server ends before it answers, the client sends the request to another one, once and within the timeout. The client
@@ -107,6 +109,7 @@ class Client:
         self._codec = _CODECS[fields.check_choice(encoding, "encoding", list(_CODECS))]
         self._sequence = itertools.count(1)
         self._streams: weakref.WeakSet[CommandStream[Any]] = weakref.WeakSet()
+        self._capabilities: frozenset[str] = frozenset()  # of the server, when it was asked
         self._name = None if secure is None else name
         tls = {} if secure is None else client_settings(secure, name)
         self._session, addresses = open_session(connect, config, self._timeout, tls)
@@ -225,8 +228,20 @@ class Client:
         """
         return self._open(JointStream, dataclasses.replace(setup, authenticated=True), watchdog)
 
+    def _require(self, *capabilities: str) -> None:
+        """Check once that the server can do what a request needs.
+
+        Raises:
+            IncompatibleServer: it cannot.
+        """
+        if not self._capabilities.issuperset(capabilities):
+            status = self.status()
+            self._capabilities = frozenset(status.capabilities)
+            check_server(status, capabilities)
+
     def _open(self, kind: Callable[..., S], setup: OpenSetup, watchdog: Watchdog | None) -> S:
         """Return an open stream of a kind."""
+        self._require("authenticated_streams", *(["measurements"] if getattr(setup, "sensors", None) is not None else []))
         id = self._named_id()
         link = StreamLink(
             watchdog=watchdog or Watchdog(),

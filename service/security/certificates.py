@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cryptography import x509
+from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
@@ -24,6 +25,7 @@ _KEY_USAGES = (
     *("key_cert_sign", "crl_sign", "encipher_only", "decipher_only"),
 )
 _AUTHORITY_DAYS, _CERTIFICATE_DAYS = 3650, 825
+_MAX_COMMON_NAME = 64  # characters
 _CLOCK_TOLERANCE = datetime.timedelta(days=1)  # for machines whose clocks are late
 
 
@@ -33,7 +35,8 @@ def make_authority(directory: Path) -> None:
     Args:
         directory: an existing directory.
     """
-    key, name = ec.generate_private_key(ec.SECP256R1()), _name("graspforce certificate authority")
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = _name(f"graspforce certificate authority {x509.random_serial_number():x}"[:_MAX_COMMON_NAME])
     usage = {name: name in ("key_cert_sign", "crl_sign") for name in _KEY_USAGES}
     builder = _builder(name, name, key.public_key(), _AUTHORITY_DAYS)
     builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
@@ -58,6 +61,60 @@ def issue_certificate(directory: Path, name: str, hosts: Sequence[str] = ()) -> 
     builder = builder.add_extension(x509.ExtendedKeyUsage([use]), critical=False)
     builder = builder.add_extension(x509.SubjectAlternativeName([_host(host) for host in hosts or (name,)]), critical=False)
     _write(directory, name, key, builder.sign(authority_key, hashes.SHA256()))
+
+
+def hosts_of(directory: Path, name: str) -> tuple[str, ...]:
+    """Return the names and addresses in a certificate.
+
+    Args:
+        directory: its directory.
+        name: its common name.
+    """
+    certificate = x509.load_pem_x509_certificate((directory / f"{name}.pem").read_bytes())
+    found = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    return tuple(str(each.value) for each in found)
+
+
+def begin_rotation(directory: Path) -> None:
+    """Make a new authority beside the present one: ``ca.pem`` has both certificates, and ``ca.key`` the new key.
+
+    Args:
+        directory: directory of the certificate authority.
+    """
+    path = directory / f"{AUTHORITY}.pem"
+    [old, *_] = x509.load_pem_x509_certificates(path.read_bytes())
+    make_authority(directory)
+    both = path.read_bytes() + old.public_bytes(serialization.Encoding.PEM)
+    with replace_file(path) as temporary:
+        temporary.write_bytes(both)
+
+
+def end_rotation(directory: Path) -> None:
+    """Remove the earlier authority from ``ca.pem``.
+
+    Args:
+        directory: directory of the certificate authority.
+    """
+    path = directory / f"{AUTHORITY}.pem"
+    [newest, *_] = x509.load_pem_x509_certificates(path.read_bytes())
+    with replace_file(path) as temporary:
+        temporary.write_bytes(newest.public_bytes(serialization.Encoding.PEM))
+
+
+def is_issued_by_newest(directory: Path, name: str) -> bool:
+    """Return whether the newest authority of ``ca.pem`` issued a certificate.
+
+    Args:
+        directory: directory of the certificate authority.
+        name: common name of the certificate.
+    """
+    [newest, *_] = x509.load_pem_x509_certificates((directory / f"{AUTHORITY}.pem").read_bytes())
+    certificate = x509.load_pem_x509_certificate((directory / f"{name}.pem").read_bytes())
+    try:
+        certificate.verify_directly_issued_by(newest)
+    except (InvalidSignature, ValueError, TypeError):
+        return False
+    return True
 
 
 def _builder(subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePublicKey, days: int) -> x509.CertificateBuilder:

@@ -7,6 +7,7 @@
 | ``server.pem``, ``.key``   | certificate and key of the server                            |
 | ``NAME.pem``, ``NAME.key`` | certificate and key of a client                              |
 | ``roles.json``             | role of each client: "controller" or "monitor"               |
+| ``NAME.json5``             | Zenoh configuration of the server or of a client             |
 
 Controllers may use all keys. Monitors may ask for status, schemas, descriptions and poses. Nobody but the server answers
 queries, publishes commands or has its liveliness token.
@@ -16,8 +17,9 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from graspforce.core import fields
 from graspforce.core.errors import InvalidInput
@@ -28,6 +30,8 @@ CONTROLLER, MONITOR = "controller", "monitor"
 ROLES = (CONTROLLER, MONITOR)
 SERVER = "server"
 DEFAULT_HOSTS = ("localhost", "127.0.0.1")
+_MAX_SESSIONS = 64  # connections of clients
+_SIZE_LIMITS = {"look": 64 * 2**10, "states": 66 * 2**10, "plans": 128 * 2**10}  # bytes of messages, with their attachment
 _ROLES_FILE = "roles.json"
 _ALL = f"{protocol.NAMESPACE}/**"
 _MONITOR_KEYS = [f"{protocol.PREFIX}/{key}" for key in ("status", "hands/*", "hands/*/forward", "schema/**")]
@@ -58,6 +62,60 @@ def init_directory(path: str | os.PathLike[str], hosts: Sequence[str] = ()) -> P
     return directory
 
 
+def renew_server(path: str | os.PathLike[str], hosts: Sequence[str] = ()) -> None:
+    """Issue a new certificate for the server, with the names and addresses of the present one.
+
+    Args:
+        path: directory of the certificate authority.
+        hosts: further names and addresses by which clients reach the server.
+
+    Raises:
+        InvalidInput: the directory has no certificate authority.
+        OSError: a file cannot be written.
+    """
+    from graspforce.service.security.certificates import hosts_of, issue_certificate
+
+    directory = _check_authority(path)
+    issue_certificate(directory, SERVER, tuple(dict.fromkeys((*hosts_of(directory, SERVER), *hosts))))
+
+
+def begin_rotation(path: str | os.PathLike[str]) -> None:
+    """Make a new certificate authority beside the present one, which stays valid until `finish_rotation`.
+
+    Copy ``ca.pem``, which has both, to all machines and restart the server. Then issue all certificates again.
+
+    Args:
+        path: directory of the certificate authority.
+
+    Raises:
+        InvalidInput: the directory has no certificate authority.
+        OSError: a file cannot be written.
+    """
+    from graspforce.service.security import certificates
+
+    certificates.begin_rotation(_check_authority(path))
+
+
+def finish_rotation(path: str | os.PathLike[str]) -> None:
+    """Remove the earlier certificate authority: its certificates are invalid when the server starts again.
+
+    Args:
+        path: directory of the certificate authority.
+
+    Raises:
+        InvalidInput: the directory has no certificate authority, or certificates of the earlier one.
+        OSError: a file cannot be written.
+    """
+    from graspforce.service.security import certificates
+
+    directory = _check_authority(path)
+    names = (SERVER, *_read_roles(directory))
+    old = [name for name in names if not certificates.is_issued_by_newest(directory, name)]
+    if old:
+        raise InvalidInput("directory", str(directory), f"one whose certificates are renewed; still old: {', '.join(old)}")
+    certificates.end_rotation(directory)
+
+
 def add_client(path: str | os.PathLike[str], name: str, role: str) -> None:
     """Issue a certificate for a client. An existing one of this name is replaced: this is how certificates are renewed.
 
@@ -72,15 +130,18 @@ def add_client(path: str | os.PathLike[str], name: str, role: str) -> None:
     """
     from graspforce.service.security.certificates import AUTHORITY, issue_certificate
 
-    directory, name = Path(path), protocol.check_id(name, "name")
+    name = protocol.check_id(name, "name")
     fields.check_choice(role, "role", ROLES)
     if name in (SERVER, AUTHORITY) or name.startswith("."):
         raise InvalidInput("name", name, f"another name than {SERVER} and {AUTHORITY}")
-    if not (directory / f"{AUTHORITY}.key").exists():
-        raise InvalidInput("directory", str(directory), "one that `graspforce secure init` made, with the authority's key")
+    directory = _check_authority(path)
     issue_certificate(directory, name)
     roles = {**_read_roles(directory), name: role} if (directory / _ROLES_FILE).exists() else {name: role}
     write_text(directory / _ROLES_FILE, json.dumps(roles, indent=2) + "\n")
+    server = {"mode": "peer", "listen/endpoints": ["tls/0.0.0.0:7450"], **server_settings(directory)}
+    _write_configuration(directory / f"{SERVER}.json5", server)
+    client = {"mode": "client", "connect/endpoints": ["tls/localhost:7450"], **client_settings(directory, name)}
+    _write_configuration(directory / f"{name}.json5", client)
 
 
 def server_settings(path: str | os.PathLike[str]) -> dict[str, object]:
@@ -97,6 +158,8 @@ def server_settings(path: str | os.PathLike[str]) -> dict[str, object]:
     roles = _read_roles(directory)
     return {
         **_tls_settings({"listen_certificate": files[0], "listen_private_key": files[1]}, directory),
+        "transport/unicast/max_sessions": _MAX_SESSIONS,
+        "low_pass_filter": _size_limits(),
         "access_control": _access_rules({role: [name for name in roles if roles[name] == role] for role in ROLES}),
     }
 
@@ -114,6 +177,42 @@ def client_settings(path: str | os.PathLike[str], name: str) -> dict[str, object
     directory = Path(path)
     files = _certificate_files(directory, name)
     return _tls_settings({"connect_certificate": files[0], "connect_private_key": files[1]}, directory)
+
+
+def _check_authority(path: str | os.PathLike[str]) -> Path:
+    """Return a directory with the key of a certificate authority.
+
+    Raises:
+        InvalidInput: it has none.
+    """
+    from graspforce.service.security.certificates import AUTHORITY
+
+    directory = Path(path)
+    if not (directory / f"{AUTHORITY}.key").exists():
+        raise InvalidInput("directory", str(directory), "one that `graspforce secure init` made, with the authority's key")
+    return directory
+
+
+def _write_configuration(path: Path, settings: Mapping[str, object]) -> None:
+    """Write a Zenoh configuration from settings by key."""
+    nested: dict[str, Any] = {"scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}}}
+    for key, value in settings.items():
+        *parents, name = key.split("/")
+        place = nested
+        for parent in parents:
+            place = place.setdefault(parent, {})
+        place[name] = value
+    write_text(path, json.dumps(nested, indent=2) + "\n")
+
+
+def _size_limits() -> list[dict[str, object]]:
+    """Return Zenoh's limits of the messages that clients send, by key: what monitors may ask, states, and moves."""
+    states, plans = [f"{protocol.PREFIX}/streams/**/state"], [f"{protocol.PREFIX}/hands/*/{task}" for task in ("plan", "grasp")]
+    limits = (("look", "query", _MONITOR_KEYS), ("states", "put", states), ("plans", "query", plans))
+    return [
+        {"id": id, "flows": ["ingress"], "messages": [kind], "key_exprs": list(keys), "size_limit": _SIZE_LIMITS[id]}
+        for id, kind, keys in limits
+    ]
 
 
 def _tls_settings(own: dict[str, str], directory: Path) -> dict[str, object]:

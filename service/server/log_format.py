@@ -18,13 +18,17 @@ else:
 
 LEVELS = ("debug", "info", "warning", "error")
 FORMATS = ("text", "json")
+REQUEST_FIELDS = ("client", "sequence")  # attributes of records about a request
 
 
 class LogFormatter(logging.Formatter):
-    """One line for each record: time (UTC), level and message. Control characters are escaped.
+    """One line for each record: time (UTC), level and message, and `client` and `sequence` of a request.
+
+    Control characters are escaped.
 
     Args:
-        style: "text", or "json" for one JSON object a line with `time`, `level`, `logger`, `message` and maybe `exception`.
+        style: "text", or "json" for one JSON object a line with `time`, `level`, `logger`, `message` and maybe `client`,
+            `sequence` and `exception`.
     """
 
     def __init__(self, style: str) -> None:
@@ -40,10 +44,12 @@ class LogFormatter(logging.Formatter):
         time = datetime.datetime.fromtimestamp(record.created, datetime.timezone.utc).isoformat(timespec="milliseconds")
         message, level = escape_controls(record.getMessage()), record.levelname.lower()
         trace = "" if not record.exc_info else self.formatException(record.exc_info)
+        request = {name: value for name in REQUEST_FIELDS if (value := getattr(record, name, None)) not in (None, "")}
         lines = [escape_controls(line) for line in trace.split("\n")] if trace else []
         if self.style == "text":
-            return "\n".join([f"{time} {level} {message}", *lines])
-        values = {"time": time, "level": level, "logger": record.name, "message": message}
+            about = ", ".join(f"{name} {escape_controls(str(value))}" for name, value in request.items())
+            return "\n".join([f"{time} {level} {message}{f' ({about})' if about else ''}", *lines])
+        values = {"time": time, "level": level, "logger": record.name, "message": message, **request}
         return json.dumps({**values, "exception": lines} if lines else values, ensure_ascii=False)
 
 

@@ -21,6 +21,7 @@ from graspforce.hand.hand import Hand
 from graspforce.service.server.deadline import Deadline
 from graspforce.service.server.limits import ServerLimits
 from graspforce.service.server.plan_turns import ActivePlan, PlanTurns
+from graspforce.service.server.server_load import client_label
 from graspforce.service.wire import protocol
 from graspforce.service.wire.reply import Reply, make_failure_reply
 from graspforce.service.workers.jobs import ANSWER, PlanningJob, WorkerMessage, make_stopped_answer
@@ -103,7 +104,7 @@ class PlanRegistry:
             sequence = protocol.find_sequence(request)
             self._start(ActivePlan(self._read_job(key, codec, request, received), client), done)
         except Exception as error:
-            outcome, reply = make_failure_reply(codec, error, key, sequence)
+            outcome, reply = make_failure_reply(codec, error, key, sequence, client_label(client))
             done(WorkerMessage(ANSWER, reply, outcome))
 
     def start_processes(self, delay: float) -> None:
@@ -119,6 +120,15 @@ class PlanRegistry:
 
         if self._hands:
             threading.Thread(target=start, name="planners", daemon=True).start()
+
+    def forget_hand(self, name: str) -> None:
+        """Send a hand to the planning processes again with its next plan, because it has changed.
+
+        Args:
+            name: its name.
+        """
+        for worker in self._workers:
+            worker.forget_hand(name)
 
     def cancel(self, id: str) -> bool:
         """Stop a plan; its answer is the best plan so far. Return False if there is no such plan.
@@ -235,7 +245,7 @@ class PlanRegistry:
                     current, self._hands[job.hand_name], lambda progress: self._publish(job.id, progress), answer
                 )
         except Exception as error:
-            outcome, reply = make_failure_reply(job.codec, error, job.key, job.sequence)
+            outcome, reply = make_failure_reply(job.codec, error, job.key, job.sequence, client_label(plan.client))
             message = WorkerMessage(ANSWER, reply, outcome)
         if worker is not None:
             self._turns.release(worker)

@@ -39,6 +39,7 @@ _LONGEST_GAP = 0.01  # s between two states that adds to their change
 _OBJECT_SPEED, _OBJECT_RATE = 5.0, 50.0  # m/s, rad/s: of a measured twist
 _LASTING = 0.05  # s, after which a jump is accepted
 _TRUE_BYTE = b"\1"  # NumPy's True in memory
+_OBJECT_NUMBERS = 18  # position, rotation and twist
 _SAMPLES = 256  # postures from which the reach is computed
 _REACH_FACTOR = 1.1  # for the postures between them
 _UNKNOWN_POSITION, _UNKNOWN_MOTION = np.full(3, math.nan), np.full(15, math.nan)
@@ -75,6 +76,9 @@ class StateGuard:
         rate = _JUMP_RATE_FACTOR * np.asarray(hand.velocity_limit)  # rad/s
         self._speed = np.concatenate([rate, np.zeros(n), np.full(3, _JUMP_SPEED), np.full(9, _JUMP_RATE), np.zeros(6)])
         self._n, self._validity = n, validity
+        is_bounded = np.isfinite(self._upper)
+        lower, upper = np.where(is_bounded, self._lower, 0.0), np.where(is_bounded, self._upper, 0.0)
+        self._middle, self._half = 0.5 * (lower + upper), np.where(is_bounded, 0.5 * (upper - lower), math.inf)
         self._last: tuple[Array, float, float] | None = None  # accepted state, its time and when it was received, s
         self._jumped: tuple[Array, float, float] | None = None  # last state after a jump that is not accepted yet
         self._jumped_since = 0.0  # when its first state was received, s
@@ -93,8 +97,9 @@ class StateGuard:
         if len(state.q) != self._n or (state.v is not None and len(state.v) != self._n):
             return  # the control law names the array
         x = _stack(state)
-        if _TRUE_BYTE in (x < self._lower).tobytes() or _TRUE_BYTE in (x > self._upper).tobytes():  # faster than any()
-            raise self._error(x, state, (x < self._lower) | (x > self._upper), None)
+        outside = np.abs(x - self._middle) > self._half
+        if _TRUE_BYTE in outside.tobytes():  # faster than any()
+            raise self._error(x, state, outside, None)
         given = x, time, received
         if self._last is not None and _TRUE_BYTE in (jumps := self._jumps(given, self._last)).tobytes():
             if self._jumped is None or _TRUE_BYTE in self._jumps(given, self._jumped).tobytes():
@@ -147,7 +152,9 @@ def reach_of(hand: Hand) -> float:
 def _stack(state: GraspState | Measurement) -> Array:
     """Return q, v, and position, rotation and twist of the object in one array; NaN for what is not measured."""
     if isinstance(state, GraspState):
-        motion = state.object
+        motion, shared = state.object, state.q.base
+        if isinstance(shared, np.ndarray) and motion.twist.base is shared:  # of the wire: all in one array, in this order
+            return shared[: 2 * len(state.q) + _OBJECT_NUMBERS]
         return np.concatenate((state.q, state.v, motion.p_HO, motion.R_HO.ravel(), motion.twist))
     v = np.full(len(state.q), math.nan) if state.v is None else state.v
     position = _UNKNOWN_POSITION if state.object is None else state.object.p_HO

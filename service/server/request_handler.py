@@ -5,6 +5,7 @@ Every request gets exactly one reply. Exceptions become error records; an unexpe
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,12 +20,14 @@ from graspforce.analysis.quality import quality
 from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput, RequestRefused, UnknownName
 from graspforce.core.json_text import JsonRecord
+from graspforce.core.printable import escape_controls
 from graspforce.force.problem import ForceProblem
 from graspforce.force.solver import solve
 from graspforce.hand.hand import Hand
 from graspforce.service.server.force_requests import count_matrix_entries, make_force_problem
 from graspforce.service.server.limits import ServerLimits
 from graspforce.service.server.plan_registry import PlanRegistry
+from graspforce.service.server.request_checks import check_deadline, check_empty_request, reject_backend
 from graspforce.service.server.request_statistics import RequestStatistics
 from graspforce.service.server.server_load import ServerLoad, client_label, resident_bytes
 from graspforce.service.server.server_stream import ServerStream, answer_control_request
@@ -47,6 +50,8 @@ _MAX_ENTRIES_TO_EXPLAIN = 100_000  # of the constraint matrix
 HAND_TASKS = ("control", "distribute", "forward", "inverse", PLAN, GRASP)  # last parts of the keys below hands/<hand>
 _MESSAGES = ("/state", "/command")  # ends of the keys of a stream's messages
 _CAPABILITIES = ("grasp_search", "measurements", "contact_changes", "authenticated_streams", "torque_step", "client_keys")
+log = logging.getLogger("graspforce.service")
+
 MAX_PARSED_BYTES = 64 * 2**10  # of a refused request, which is parsed only for its sequence number
 
 
@@ -122,12 +127,34 @@ class RequestHandler:
             "explain": self._explain,
             "status": self._status,
         }
-        for name, hand in self._hands.items():
-            self._tasks[protocol.hand_key(name)] = partial(self._describe, hand)
-            self._tasks[f"{protocol.hand_key(name)}/distribute"] = partial(self._distribute, hand)
-            self._tasks[f"{protocol.hand_key(name)}/control"] = partial(self._control, hand)
-            self._tasks[f"{protocol.hand_key(name)}/forward"] = partial(self._forward, hand)
-            self._tasks[f"{protocol.hand_key(name)}/inverse"] = partial(self._inverse, hand)
+        for hand in self._hands.values():
+            self._tasks |= self._hand_tasks(hand)
+
+    def _hand_tasks(self, hand: Hand) -> dict[str, _Task]:
+        """Return the functions that answer the keys of a hand."""
+        key = protocol.hand_key(hand.name)
+        return {
+            key: partial(self._describe, hand),
+            f"{key}/distribute": partial(self._distribute, hand),
+            f"{key}/control": partial(self._control, hand),
+            f"{key}/forward": partial(self._forward, hand),
+            f"{key}/inverse": partial(self._inverse, hand),
+        }
+
+    def replace_hand(self, hand: Hand) -> None:
+        """Serve a changed hand in place of the one with its name; open streams keep theirs.
+
+        Args:
+            hand: the hand.
+
+        Raises:
+            UnknownName: no hand of this name is served.
+        """
+        if hand.name not in self._hands:
+            raise UnknownName("hand", hand.name, self._hands)
+        self._hands[hand.name] = hand
+        self._tasks |= self._hand_tasks(hand)
+        self.plans.forget_hand(hand.name)
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -179,16 +206,20 @@ class RequestHandler:
             sequence = protocol.find_sequence(request)
             envelope, record = protocol.Envelope.split(request)
             deadline = received + (self._limits.budget if envelope.budget is None else envelope.budget)
-            _check_deadline(deadline, "begun", received)
+            check_deadline(deadline, "begun", received)
             with np.errstate(all="ignore"):  # results that overflow fail certification
                 result = task(record, _RequestOptions(envelope.backend, deadline, client))
-            _check_deadline(deadline, "finished", received)
+            check_deadline(deadline, "finished", received)
             result["server_seconds"] = time.perf_counter() - received
             if sequence is not None:
                 result["sequence"] = sequence
-            return "ok", Reply(True, protocol.encode(result, codec), codec)
+            outcome, reply = "ok", Reply(True, protocol.encode(result, codec), codec)
         except Exception as error:
-            return make_failure_reply(codec, error, key, sequence)
+            outcome, reply = make_failure_reply(codec, error, key, sequence, client_label(client))
+        if log.isEnabledFor(logging.DEBUG):
+            about = {"client": client_label(client), "sequence": sequence}
+            log.debug("%s: %s in %.6f s", escape_controls(key), outcome, time.perf_counter() - received, extra=about)
+        return outcome, reply
 
     def count(self, key: str, outcome: str, seconds: float) -> None:
         """Count a request in the statistics.
@@ -263,13 +294,13 @@ class RequestHandler:
 
     def _quality(self, record: Any, options: _RequestOptions) -> JsonRecord:
         """Answer ``quality``."""
-        _reject_backend(options)
+        reject_backend(options.backend)
         problem, direction = self._problem_and_direction(record)
         return quality(problem, direction, seconds=self._answer_seconds(options)).to_dict()
 
     def _explain(self, record: Any, options: _RequestOptions) -> JsonRecord:
         """Answer ``explain``."""
-        _reject_backend(options)
+        reject_backend(options.backend)
         problem, direction = self._problem_and_direction(record)
         return explain(problem, direction, seconds=self._answer_seconds(options)).to_dict()
 
@@ -292,13 +323,13 @@ class RequestHandler:
 
     def _control(self, hand: Hand, record: object, options: _RequestOptions) -> JsonRecord:
         """Answer ``hands/<hand>/control``."""
-        _reject_backend(options)
+        reject_backend(options.backend)
         self._check_contact_count(record.get("hold") if isinstance(record, dict) else None)
         return answer_control_request(ControlRequest.from_dict(hand, record))
 
     def _stream(self, id: str, record: object, options: _RequestOptions) -> JsonRecord:
         """Answer ``streams/<id>`` and ``streams/<client>/<id>``."""
-        _reject_backend(options)
+        reject_backend(options.backend)
         given = record if isinstance(record, dict) else {}
         plan = given.get("plan")
         self._check_contact_count(plan.get("hold") if isinstance(plan, dict) else given.get("hold"))
@@ -315,17 +346,17 @@ class RequestHandler:
 
     def _forward(self, hand: Hand, record: object, options: _RequestOptions) -> JsonRecord:
         """Answer ``hands/<hand>/forward``."""
-        _reject_backend(options)
+        reject_backend(options.backend)
         return forward_record(hand, record)
 
     def _inverse(self, hand: Hand, record: object, options: _RequestOptions) -> JsonRecord:
         """Answer ``hands/<hand>/inverse``."""
-        _reject_backend(options)
+        reject_backend(options.backend)
         return inverse_record(hand, record)
 
     def _status(self, record: object, options: _RequestOptions) -> JsonRecord:
         """Answer ``status``."""
-        _check_empty_request(record)
+        check_empty_request(record)
         return self.status().to_dict()
 
     def status(self) -> ServerStatus:
@@ -378,23 +409,3 @@ class RequestHandler:
         if isinstance(contacts, list) and len(contacts) > self._limits.contacts:
             message = f"there are {len(contacts)} contacts: at most {self._limits.contacts} are allowed"
             raise RequestRefused("too_large", message)
-
-
-def _check_deadline(deadline: float, what: str, received: float) -> None:
-    """Refuse a request after its deadline."""
-    now = time.perf_counter()
-    if now > deadline:
-        budget, elapsed = deadline - received, now - received  # s
-        message = f"budget of {budget:.6g} s exceeded: the work was not {what} {elapsed:.6g} s after receipt"
-        raise RequestRefused("deadline", message)
-
-
-def _reject_backend(options: _RequestOptions) -> None:
-    """Refuse a choice of solver."""
-    if options.backend is not None:
-        raise InvalidInput("backend", options.backend, "absent: only solve and distribute have a choice of solvers")
-
-
-def _check_empty_request(record: object) -> None:
-    """Refuse fields in a request that has none."""
-    fields.check_record(record, "", optional=["sequence", "budget"])

@@ -49,12 +49,14 @@ class ProcessRequest:
         payload: the encoded request.
         encoding: its Zenoh encoding; None for JSON.
         elapsed: time since its arrival, s.
+        client: session of its client.
     """
 
     key: str
     payload: bytes
     encoding: str | None
     elapsed: float
+    client: bytes = b""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -88,9 +90,13 @@ def main() -> None:
             configure_logging(*setup.log)
         handler = RequestHandler(setup.hands, limits=setup.limits)
         while True:
-            request: ProcessRequest = pipe.recv()
+            request: ProcessRequest | ProcessSetup = pipe.recv()
+            if isinstance(request, ProcessSetup):  # a hand has changed
+                handler = RequestHandler(request.hands, limits=request.limits)
+                continue
             received = time.perf_counter() - request.elapsed
-            pipe.send(ProcessAnswer(*handler.compute(request.key, request.payload, request.encoding, received)))
+            asked = request.key, request.payload, request.encoding, received, request.client
+            pipe.send(ProcessAnswer(*handler.compute(*asked)))
             if len(request.payload) > _RELEASE_BYTES:
                 del request
                 release_free_memory()

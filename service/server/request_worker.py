@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import queue
 import subprocess
@@ -44,7 +45,8 @@ class RequestWorker:
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
         self._pipe: Connection | None = None
-        self._is_set_up = self._is_closed = False
+        self._sent_setup: ProcessSetup | None = None
+        self._is_closed = False
 
     def start(self) -> None:
         """Start the process, and do not wait until it can answer."""
@@ -60,11 +62,21 @@ class RequestWorker:
                 start_new_session=True,  # Ctrl-C goes to the server only, which ends its processes in order
             )
         with self._lock:
-            self._process, self._pipe, self._is_set_up = process, ours, False
+            self._process, self._pipe, self._sent_setup = process, ours, None
         if self._is_closed:
             self._kill()
 
-    def compute(self, key: str, payload: bytes, encoding: str | None, received: float) -> tuple[str, Reply]:
+    def serve(self, hands: Sequence[Hand]) -> None:
+        """Serve other hands, from the next request on.
+
+        Args:
+            hands: the hands.
+        """
+        self._setup = dataclasses.replace(self._setup, hands=hands)
+
+    def compute(
+        self, key: str, payload: bytes, encoding: str | None, received: float, client: bytes = b""
+    ) -> tuple[str, Reply]:
         """Return the outcome and the reply of a request; see `RequestHandler.compute`.
 
         Args:
@@ -72,6 +84,7 @@ class RequestWorker:
             payload: the encoded request.
             encoding: its Zenoh encoding; None for JSON.
             received: when it arrived, on the clock `time.perf_counter`, s.
+            client: session of its client.
         """
         limit = self._setup.limits.stall_time
         try:
@@ -80,10 +93,11 @@ class RequestWorker:
             pipe = self._pipe
             if pipe is None:
                 return _refuse(encoding, "closing", protocol.CLOSING_MESSAGE)
-            if not self._is_set_up:
-                pipe.send(self._setup)
-                self._is_set_up = True
-            pipe.send(ProcessRequest(key, payload, encoding, time.perf_counter() - received))
+            setup = self._setup
+            if self._sent_setup is not setup:
+                pipe.send(setup)
+                self._sent_setup = setup
+            pipe.send(ProcessRequest(key, payload, encoding, time.perf_counter() - received, client))
             if pipe.poll(limit):
                 answer: ProcessAnswer = pipe.recv()
                 return answer.outcome, answer.reply
@@ -125,7 +139,18 @@ class RequestWorkers:
             worker.start()
             self._free.put(worker)
 
-    def compute(self, key: str, payload: bytes, encoding: str | None, received: float) -> tuple[str, Reply]:
+    def serve(self, hands: Sequence[Hand]) -> None:
+        """Serve other hands, from the next requests on.
+
+        Args:
+            hands: the hands.
+        """
+        for worker in self._workers:
+            worker.serve(hands)
+
+    def compute(
+        self, key: str, payload: bytes, encoding: str | None, received: float, client: bytes = b""
+    ) -> tuple[str, Reply]:
         """Return the outcome and the reply of a request by a free process.
 
         Args:
@@ -133,10 +158,11 @@ class RequestWorkers:
             payload: as in `RequestWorker.compute`.
             encoding: as in `RequestWorker.compute`.
             received: as in `RequestWorker.compute`, s.
+            client: as in `RequestWorker.compute`.
         """
         worker = self._free.get()
         try:
-            return worker.compute(key, payload, encoding, received)
+            return worker.compute(key, payload, encoding, received, client)
         finally:
             self._free.put(worker)
 

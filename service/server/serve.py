@@ -21,6 +21,7 @@ from threadpoolctl import threadpool_limits
 from graspforce.core.optional_libraries import optional_imports
 from graspforce.hand.hand import Hand
 from graspforce.service.server.deadline import Deadline
+from graspforce.service.server.hand_files import HandFiles
 from graspforce.service.server.server import Server
 from graspforce.service.server.service_manager import ServiceManager
 
@@ -32,6 +33,7 @@ log = logging.getLogger("graspforce.service")
 _GRACE = 1.2  # s, to answer the waiting requests at the end; the process ends within 2 s
 _END_DELAY = 0.6  # s after the grace, until a process that should end is ended
 _SIGNAL_CHECK_PERIOD = 0.02  # s
+_WATCH_PERIOD = 0.5  # s, between checks of the hands' files
 _SWITCH_INTERVAL = 1e-4  # s; with Python's default of 5 ms, a reply could wait so long for another thread
 _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
@@ -44,6 +46,7 @@ class ServeOptions:
         on_ready: called with the server when it serves.
         metrics: ``HOST:PORT`` of metrics, health and readiness over HTTP, or a port of this machine; None for none.
         attach: called with the server when it serves; returns a context that is open while it does, such as a node of ROS 2.
+        watch: hands whose description files are read again when they change, as in `Server`.
         grace: time to wait for answers at the end, s.
         end_process: end the process with exit code 0 instead of returning: at most 0.6 s after the grace even if a solver or
             the network does not return, and at once at a second signal.
@@ -52,6 +55,7 @@ class ServeOptions:
     on_ready: Callable[[Server], None] | None = None
     metrics: str | None = None
     attach: Callable[[Server], AbstractContextManager[object]] | None = None
+    watch: Sequence[str | os.PathLike[str] | Hand] = ()
     grace: float = _GRACE
     end_process: bool = False
 
@@ -128,8 +132,12 @@ def run_server(server: Server, options: ServeOptions) -> None:
         if options.on_ready is not None:
             options.on_ready(server)
         manager.ready("serving")
+        files, checked = HandFiles(options.watch, server.reload_hand), time.monotonic()
         while not received:
             time.sleep(_SIGNAL_CHECK_PERIOD)  # a wait without end could miss a signal that arrives just before it
+            if time.monotonic() - checked > _WATCH_PERIOD:
+                files.check()
+                checked = time.monotonic()
             if manager.is_alive_due() and (problem := server.load().problem) is None:
                 manager.alive()
             elif manager.is_alive_due():

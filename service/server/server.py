@@ -242,6 +242,20 @@ class Server:
         """Return the status of the server: load, counts and latencies. Any thread may call it."""
         return self._handler.status()
 
+    def reload_hand(self, hand: Hand) -> None:
+        """Serve a changed hand in place of the one with its name. Open streams keep theirs until they are opened again.
+
+        Args:
+            hand: the hand.
+
+        Raises:
+            UnknownName: no hand of this name is served.
+        """
+        self._handler.replace_hand(hand)
+        self._hands[:] = [hand if each.name == hand.name else each for each in self._hands]
+        for workers in self._workers.values():
+            workers.serve(tuple(self._hands))
+
     def _declare_keys(self, session: zenoh.Session) -> list[Any]:
         """Declare queryables and subscribers, and return them."""
 
@@ -347,7 +361,7 @@ class Server:
         workers = None if key.startswith("streams/") else self._workers.get(item.cost)
         if workers is None:
             return self._handler.answer(key, *read_query(item.query), item.received, self._session_of(item))
-        outcome, reply = workers.compute(key, *read_query(item.query), item.received)
+        outcome, reply = workers.compute(key, *read_query(item.query), item.received, self._session_of(item))
         self._handler.count(key, outcome, time.perf_counter() - item.received)
         return reply
 

@@ -168,7 +168,8 @@ class ServerStream:
             reply, outcome = Reply(True, self._answer(payload, codec, received), codec), "ok"
             self.last_received = received
         except Exception as error:
-            outcome, reply = make_failure_reply(codec, error, f"streams/{self.id}/state", _find_sequence(payload, codec))
+            about = _find_sequence(payload, codec), client_label(self.owner)
+            outcome, reply = make_failure_reply(codec, error, f"streams/{self.id}/state", *about)
         self.outcomes[outcome] += 1
         return reply
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from graspforce.core.errors import BackendError, InvalidInput, ModelError, RequestRefused
 from graspforce.core.printable import escape_controls
@@ -43,7 +45,7 @@ def make_error_reply(
     return Reply(False, protocol.encode(protocol.error_record(code, message, field, sequence, retry_after), codec), codec)
 
 
-def make_failure_reply(codec: str, error: Exception, key: str, sequence: int | None) -> tuple[str, Reply]:
+def make_failure_reply(codec: str, error: Exception, key: str, sequence: int | None, client: str = "") -> tuple[str, Reply]:
     """Return the code and the reply of a request that raised an exception.
 
     Args:
@@ -51,12 +53,15 @@ def make_failure_reply(codec: str, error: Exception, key: str, sequence: int | N
         error: the exception.
         key: key of the request, for the log.
         sequence: sequence number of the request.
+        client: label of its client, for the log.
     """
-    code, message, field = describe_error(error, key)
+    code, message, field = describe_error(error, key, {"client": client, "sequence": sequence})
     return code, make_error_reply(codec, code, message, field, sequence, getattr(error, "retry_after", None))
 
 
-def describe_error(error: Exception, key: str) -> tuple[str, str, str | None]:
+def describe_error(
+    error: Exception, key: str, request: Mapping[str, object] = MappingProxyType({})
+) -> tuple[str, str, str | None]:
     """Return the code, message and field of an exception's error record.
 
     An unexpected exception is logged with its traceback; its message does not leave the server.
@@ -64,6 +69,7 @@ def describe_error(error: Exception, key: str) -> tuple[str, str, str | None]:
     Args:
         error: the exception.
         key: key of the request, for the log.
+        request: `client` and `sequence` of the request, for the log.
     """
     if isinstance(error, InvalidInput):
         return error.code, str(error), error.field or None
@@ -75,5 +81,5 @@ def describe_error(error: Exception, key: str) -> tuple[str, str, str | None]:
         return "invalid", str(error), "backend"
     if isinstance(error, ModelError):
         return "internal", str(error), None
-    log.error("a request to %s failed", escape_controls(key), exc_info=error)
+    log.error("a request to %s failed", escape_controls(key), exc_info=error, extra=dict(request))
     return "internal", f"internal error ({type(error).__name__}); the server's log has the details", None

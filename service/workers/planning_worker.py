@@ -65,6 +65,14 @@ class PlanningWorker:
         if self._is_closed:
             self._kill_process()
 
+    def forget_hand(self, name: str) -> None:
+        """Send a hand again with its next job, because it has changed.
+
+        Args:
+            name: its name.
+        """
+        self._sent_hands.discard(name)
+
     def reserve(self, budget: float) -> None:
         """Reserve the worker for the next job of the caller, which may be cancelled from now on.
 

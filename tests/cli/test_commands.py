@@ -450,14 +450,14 @@ def test_serve_passes_its_options_on(run: Any, monkeypatch: pytest.MonkeyPatch) 
         return SimpleNamespace(addresses=("tcp/127.0.0.1:7000", "tcp/[::1]:7000"))
 
     def run_server(server: Any, options: Any) -> None:
-        asked.update(metrics=options.metrics, end_process=options.end_process)
+        asked.update(metrics=options.metrics, end_process=options.end_process, watch=options.watch)
         options.on_ready(server)
 
     monkeypatch.setattr(service, "run_server", run_server, raising=False)
     monkeypatch.setattr(service, "Server", make_server, raising=False)
     arguments = ("serve", "--hand", "four_finger", "--hand", "mine.json", "--listen", "tcp/127.0.0.1:0", "--config", "z.json5")
     options = ("--workers", "3", "--limit", "streams=8", "--limit", "idle_timeout=2.5", "--metrics", "9464")
-    options += ("--connect", "tcp/127.0.0.1:7447", "--large-workers", "2")
+    options += ("--connect", "tcp/127.0.0.1:7447", "--large-workers", "2", "--lease", "0.25", "--watch")
     code, out, err = run(*arguments, *options)
     assert (code, err) == (0, "")
     assert out == (
@@ -468,6 +468,7 @@ def test_serve_passes_its_options_on(run: Any, monkeypatch: pytest.MonkeyPatch) 
     assert asked.pop("limits") == service.ServerLimits(streams=8, idle_timeout=2.5)
     assert (asked.pop("insecure"), asked.pop("secure"), asked.pop("large_threads")) == (False, None, 2)
     assert (asked.pop("connect"), asked.pop("worker_processes")) == (["tcp/127.0.0.1:7447"], True)
+    assert (asked.pop("lease"), asked.pop("watch")) == (0.25, ["four_finger", "mine.json"])
     assert asked == {"hands": ["four_finger", "mine.json"], "config": Path("z.json5"), "listen": "tcp/127.0.0.1:0"}
     for wrong, message in (("stream=8", "streams"), ("streams=x", "whole number"), ("streams=0", "greater than 0")):
         code, _, err = run("serve", "--limit", wrong)

@@ -10,7 +10,9 @@ import pytest
 
 from graspforce.core.errors import InvalidInput
 from graspforce.core.printable import has_controls
+from graspforce.service import RequestHandler
 from graspforce.service.server.log_format import LogFormatter, configure_logging, present_logging
+from graspforce.service.server.server_load import client_label
 
 EVIL = "a\x1b[2Jb\nforged line"
 
@@ -68,3 +70,25 @@ def test_other_processes_get_level_and_format(monkeypatch):
     assert present_logging() is None
     configure_logging("error", "json")
     assert present_logging() == ("error", "json")
+
+
+def test_lines_about_a_request_name_its_client_and_sequence():
+    def refuse(logger):
+        logger.error("a request to solve failed", extra={"client": "3f2a", "sequence": 7})
+        logger.error("a request to solve failed", extra={"client": "", "sequence": None})
+
+    first, second = logged("text", refuse)
+    assert first.endswith("a request to solve failed (client 3f2a, sequence 7)")
+    assert second.endswith("a request to solve failed")
+    first, second = map(json.loads, logged("json", refuse))
+    assert (first["client"], first["sequence"]) == ("3f2a", 7)
+    assert not {"client", "sequence"} & set(second)
+
+
+def test_handler_logs_client_and_sequence_of_each_request(caplog):
+    handler = RequestHandler([])
+    with caplog.at_level(logging.DEBUG, logger="graspforce.service"):
+        handler.answer("status", b'{"sequence": 7}', client=b"session")
+    [record] = caplog.records
+    assert record.getMessage().startswith("status: ok in ")
+    assert (record.sequence, record.client) == (7, client_label(b"session"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import stat
 
 import numpy as np
@@ -16,7 +17,16 @@ from support.service_requests import pinch
 from graspforce.core.errors import InvalidInput, RequestRefused, ServiceError
 from graspforce.planning import Plan
 from graspforce.service import Client, Server
-from graspforce.service.security.directory import add_client, client_settings, init_directory, server_settings
+from graspforce.service.security.certificates import hosts_of
+from graspforce.service.security.directory import (
+    add_client,
+    begin_rotation,
+    client_settings,
+    finish_rotation,
+    init_directory,
+    renew_server,
+    server_settings,
+)
 from graspforce.service.wire import protocol
 from graspforce.service.zenoh_session import build_configuration
 
@@ -192,3 +202,48 @@ def test_invalid_names_roles_and_directories_are_named(directory, tmp_path):
         with pytest.raises(InvalidInput) as caught:
             call()
         assert caught.value.field == field
+
+
+def test_written_configurations_serve_and_connect(directory):
+    with Server(["four_finger"], listen=LISTEN, config=directory / "server.json5") as server:
+        address = server.addresses[0].replace("127.0.0.1", "localhost")
+        with Client(address, config=directory / "controller.json5", timeout=TIMEOUT) as client:
+            assert client.solve(pinch()).found
+        with Client(address, config=directory / "monitor.json5", timeout=2.0) as client:
+            assert client.status().hands == ("four_finger",)
+            with pytest.raises(RequestRefused, match="not permitted"):
+                client.solve(pinch())
+
+
+def test_sessions_and_messages_are_limited(session_of, directory):
+    assert server_settings(directory)["transport/unicast/max_sessions"] == 64
+    monitor = session_of("monitor")
+    assert get(monitor, "status", b"{}")
+    assert get(monitor, "status", b" " * 100_000) == []
+
+
+def test_server_accepts_old_and_new_certificates_during_a_rotation(tmp_path):
+    keys = init_directory(tmp_path / "keys", ["robot.local"])
+    before = tmp_path / "before"
+    shutil.copytree(keys, before)
+    begin_rotation(keys)
+    with pytest.raises(InvalidInput, match="still old: server, controller, monitor"):
+        finish_rotation(keys)
+    with Server(listen=LISTEN, secure=keys) as server:  # old certificate of the server, both authorities
+        address = server.addresses[0].replace("127.0.0.1", "localhost")
+        for directory in (before, keys):
+            with Client(address, secure=directory, timeout=TIMEOUT) as client:
+                assert client.solve(pinch()).found
+    renew_server(keys)
+    assert "robot.local" in hosts_of(keys, "server")
+    for name in ("controller", "monitor"):
+        add_client(keys, name, name)
+    finish_rotation(keys)
+    with Server(listen=LISTEN, secure=keys) as server:
+        address = server.addresses[0].replace("127.0.0.1", "localhost")
+        with Client(address, secure=keys, timeout=TIMEOUT) as client:
+            assert client.solve(pinch()).found
+        with pytest.raises(ServiceError):
+            Client(address, secure=before, timeout=2.0)
+    with pytest.raises(InvalidInput, match="secure init"):
+        renew_server(tmp_path)

@@ -52,3 +52,37 @@ def add(
         print(json.dumps({"name": name, "role": role, "files": [str(directory / f"{name}{end}") for end in (".pem", ".key")]}))
         return
     print(f"Wrote {directory / f'{name}.pem'} and {directory / f'{name}.key'}: a {role}.")
+
+
+@secure.command(epilog="Example: graspforce secure renew robot-keys")
+def renew(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="Directory of `graspforce secure init`.")],
+    host: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Further name or address by which clients reach the server; repeatable."),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Issue a new certificate for the server. Restart the server, so that it uses it."""
+    from graspforce.service.security.directory import SERVER, renew_server
+
+    renew_server(directory, host or ())
+    path = directory / f"{SERVER}.pem"
+    print(json.dumps({"file": str(path)}) if as_json else f"Wrote {path}. Restart the server.")
+
+
+@secure.command(epilog="Example: graspforce secure rotate robot-keys")
+def rotate(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="Directory of `graspforce secure init`.")],
+    finish: Annotated[bool, typer.Option("--finish", help="Remove the earlier authority.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Replace the certificate authority, in two steps between which old and new certificates are valid."""
+    from graspforce.service.security.directory import begin_rotation, finish_rotation
+
+    (finish_rotation if finish else begin_rotation)(directory)
+    if as_json:
+        print(json.dumps({"directory": str(directory), "finished": finish}))
+        return
+    done = "Removed the earlier authority." if finish else "Renew the server and add all clients again, then use --finish."
+    print(f"Copy ca.pem to all machines, and restart the server. {done}")

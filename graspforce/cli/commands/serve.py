@@ -35,6 +35,9 @@ def serve(
             metavar="NAME", help="Hand to serve: a name or a description file; repeatable.", autocompletion=complete_hand
         ),
     ] = None,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Read the description files of --hand again when they change; open streams go on.")
+    ] = False,
     insecure: Annotated[
         bool,
         typer.Option("--insecure", help="Listen beyond this machine without TLS: anybody there can drive the hands."),
@@ -122,7 +125,9 @@ def serve(
         worker_processes=worker_processes,
         lease=lease,
     )
-    run_server(server, ServeOptions(on_ready=ready, metrics=metrics, attach=attach, end_process=True))
+    run_server(
+        server, ServeOptions(on_ready=ready, metrics=metrics, attach=attach, watch=hands if watch else (), end_process=True)
+    )
 
 
 def _ros2_node(
