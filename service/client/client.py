@@ -59,6 +59,7 @@ from graspforce.service.wire.status_records import ServerStatus
 from graspforce.service.zenoh_session import MAX_MESSAGE_BYTES
 
 _CODECS = {"msgpack": protocol.MSGPACK, "json": protocol.JSON}
+_REOPEN_TIMEOUT = 0.5  # s, of an attempt to open a stream again: the lease of a replica
 _PLAN_BUDGET = 10.0  # s, default time for planning
 _PLAN_TRANSFER_TIME = 5.0  # s beyond the budget for the answer, which has some hundred kilobytes
 
@@ -406,13 +407,16 @@ class Client:
     def _query_stream(self, key: str, record: JsonRecord) -> JsonRecord:
         """Open a stream at the nearest server, or close it wherever it is, and return the answer."""
         sequence = next(self._sequence)
+        # The proofs of a repeated opening: its server may be frozen, and the next attempt reaches another one.
+        is_repeated = "close" not in record and len(record.get("proof", ())) > 1
+        timeout = min(self._timeout, _REOPEN_TIMEOUT) if is_repeated else self._timeout
         target = zenoh.QueryTarget.ALL if "close" in record else zenoh.QueryTarget.BEST_MATCHING
 
         def send(remaining: float) -> Iterable[zenoh.Reply]:
             payload = protocol.encode(Envelope(sequence, remaining).wrap(record), self._codec)
             return self._send_query(key, payload, remaining, target)
 
-        return self._first_answer(key, send, sequence, self._timeout)
+        return self._first_answer(key, send, sequence, timeout)
 
     def _query_job(self, key: str, record: JsonRecord, budget: float, callback: ProgressCallback | None = None) -> JsonRecord:
         """Send a request to a planning process and return its answer. The server stops the work if this call ends early."""

@@ -23,6 +23,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import secrets
 import threading
 import time
 from collections.abc import Callable
@@ -43,7 +44,7 @@ from graspforce.service.wire.stream_authentication import ownership_proof, read_
 
 _RETRY_PERIOD = 0.05  # s, between attempts to open the stream again
 _PAUSE_TIMEOUT = 1.0  # s, without states: the driver has paused
-_MAX_PROOFS = 4  # in a request
+_MAX_PROOFS, _TOKEN_BYTES = 4, 32  # in a request
 _BUSY_WAIT = 1e-3  # s, of waiting without sleep, because waking up takes tens of microseconds
 _POLL_PERIOD = 1e-4  # s, between checks after that
 
@@ -148,7 +149,7 @@ class CommandStream(Generic[C]):
         self._closed, self._wake = threading.Event(), threading.Event()
         self._is_server_closing = False
         self._connection = link.connect()
-        self._proofs: list[str] = []  # of all openings, the newest first
+        self._proofs: list[str] = []  # of all openings, the newest first, and the token of the stream
         try:
             self._open(setup.to_dict())
         except BaseException:
@@ -176,6 +177,8 @@ class CommandStream(Generic[C]):
 
     def _open(self, setup: JsonRecord) -> None:
         """Open the stream at the server, and take the key of this opening."""
+        if setup.get("authenticated") and not self._proofs:
+            self._proofs = [secrets.token_hex(_TOKEN_BYTES)]  # proves an opening whose answer got lost
         answer = self._query({**setup, **self._proof()})
         if setup.get("authenticated"):
             try:
@@ -184,11 +187,12 @@ class CommandStream(Generic[C]):
                 raise make_unreadable_error(error) from None
             self._connection.authenticate(key)
             proof = ownership_proof(key, self.id)
-            self._proofs = [proof, *(each for each in self._proofs if each != proof)][:_MAX_PROOFS]
+            *others, token = (each for each in self._proofs if each != proof)
+            self._proofs = [proof, *others[: _MAX_PROOFS - 2], token]
 
     def _proof(self) -> JsonRecord:
-        """Return the proofs of ownership of a request: one, or those of several openings."""
-        return {} if not self._proofs else {"proof": self._proofs[0] if len(self._proofs) == 1 else self._proofs}
+        """Return the proofs of ownership of a request."""
+        return {"proof": self._proofs} if self._proofs else {}
 
     # ── of each kind ─────────────────────────────────────────────────────────────────────────────────────────────────────
 

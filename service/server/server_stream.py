@@ -44,6 +44,7 @@ from graspforce.service.wire.stream_status import StreamStatus
 
 _EPOCH_BYTES = 8
 _MAX_PROOFS = 4  # of a request, the newest first
+_PROOF_CHARACTERS = 64
 _MAX_STATE_BYTES = 64 * 2**10  # a hand with 20 joints needs 1 KiB
 
 
@@ -67,10 +68,12 @@ class ServerStream:
         id: id of the stream.
         setup: fixed parameters.
         owner: session of the client that opened it.
+        proof: proofs of its client in the request that opened it. Repeated, they prove the opening if its answer got lost.
     """
 
-    def __init__(self, id: str, setup: AnySetup, owner: bytes = b"") -> None:
+    def __init__(self, id: str, setup: AnySetup, owner: bytes = b"", proof: object = None) -> None:
         self.id, self.setup, self.owner = id, setup, owner
+        self._claims = tuple(each.encode() for each in _read_proofs(proof))
         self.outcomes: Counter[str] = Counter()
         self.skipped = self.late = 0
         self.latency = LatencyHistogram()
@@ -143,10 +146,9 @@ class ServerStream:
         """Return the index of the proof for this opening of the stream; None if there is none."""
         if self.key is None:
             return None
-        own = ownership_proof(self.key, self.id).encode()
-        given = proof[:_MAX_PROOFS] if isinstance(proof, list) else [proof]
-        for k, each in enumerate(given):
-            if isinstance(each, str) and hmac.compare_digest(each.encode(), own):
+        own = ownership_proof(self.key, self.id).encode(), *self._claims
+        for k, given in enumerate(_read_proofs(proof)):
+            if any(hmac.compare_digest(given.encode(), each) for each in own):
                 return k
         return None
 
@@ -197,6 +199,12 @@ class ServerStream:
         self.late += record.late
         self.latency.observe(record.server_seconds)
         return protocol.encode(record, codec)
+
+
+def _read_proofs(proof: object) -> list[str]:
+    """Return the proofs of a request that have the length of one."""
+    given = proof[:_MAX_PROOFS] if isinstance(proof, list) else [proof]
+    return [each for each in given if isinstance(each, str) and len(each) == _PROOF_CHARACTERS]
 
 
 class _Control(Protocol):

@@ -104,7 +104,7 @@ class StreamRegistry:
             existing = self._open.get(id)
             if existing is None:
                 self._check_capacity(client)
-                stream = ServerStream(id, setup, client)
+                stream = ServerStream(id, setup, client, proof)
                 self._on_open(stream)
                 self._open[id] = stream
             elif not existing.is_owned(client, proof):

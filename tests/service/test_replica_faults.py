@@ -106,4 +106,15 @@ def test_client_that_returns_from_another_server_gets_a_new_stream():
     assert not repeated["opened"]
     assert repeated["key"] == again["key"]
     with pytest.raises(RequestRefused, match="another client"):
-        first.answer("a", {**record, "proof": proofs})
+        first.answer("a", {**record, "proof": "ef" * 32})
+
+
+def test_client_proves_an_opening_whose_answer_got_lost():
+    record, token = setup(authenticated=True, memory=None).to_dict(), "ab" * 32
+    registry = make_registry()
+    lost = registry.answer("a", {**record, "proof": [token]})
+    again = registry.answer("a", {**record, "proof": [token]})
+    assert (again["opened"], again["key"]) == (False, lost["key"])
+    for proof in (None, [], ["cd" * 32], "", [""], ["ab"], 7, [None]):
+        with pytest.raises(RequestRefused, match="another client"):
+            registry.answer("a", {**record, "proof": proof})
