@@ -48,6 +48,8 @@ class Solution:
         seconds: time of the solver, s, without certificate and record.
         multipliers: of the optimum or of the proof of infeasibility; None over the wire.
         cost_bound: with an uncertainty, lower bound on the objective of all forces that hold for it; None otherwise.
+        timed_out: the deadline of a `Solver` passed without a certified answer. Forces, certificate and problem are then those
+            of its last certified solve; without one the status is failed.
     """
 
     status: Status
@@ -60,6 +62,7 @@ class Solution:
     seconds: float
     multipliers: Multipliers | None = None
     cost_bound: float | None = None
+    timed_out: bool = False
 
     def __repr__(self) -> str:
         return f"<Solution: {self._summary()}>"
@@ -218,11 +221,16 @@ class Solution:
         return notes
 
     def to_dict(self) -> JsonRecord:
-        """Return the record of a solution (`SCHEMA`); only problems with an uncertainty have the field ``robust``."""
+        """Return the record of a solution (`SCHEMA`).
+
+        Only problems with an uncertainty have the field ``robust``, and only late solutions ``timed_out``.
+        """
         pairs = zip(self.slip_margin.tolist(), self.friction_used.tolist(), strict=True)
         robust = {} if self.robust is None else {"robust": self.robust.to_dict()}
+        late = {"timed_out": True} if self.timed_out else {}
         return {
             **robust,
+            **late,
             "schema": SCHEMA,
             "status": self.status.value,
             "objective": self.objective,
@@ -251,7 +259,7 @@ class Solution:
             record,
             "",
             required=[*names, "certificate", "infeasibility", "solver"],
-            optional=["joints", "objective_gap", "robust"],
+            optional=["joints", "objective_gap", "robust", "timed_out"],
         )
         fields.check_choice(values["schema"], "schema", (SCHEMA,))
         margins = [fields.check_record(c, "contacts", required=["slip_margin", "friction_used"]) for c in values["contacts"]]
@@ -265,6 +273,7 @@ class Solution:
             f=arrays.freeze(np.concatenate(forces) if forces else []),
             certificate=None if certificate is None else Certificate.from_dict(certificate),
             infeasibility=None if infeasibility is None else Infeasibility.from_dict(infeasibility),
+            timed_out=fields.check_boolean(values.get("timed_out", False), "timed_out"),
             **solver,
         )
         vars(solution).update(  # the values of cached properties, which would need the problem

@@ -93,10 +93,13 @@ class Solver:
     Args:
         problem: the first problem. Values that later calls do not change stay as they are.
         backend, settings, explain, explain_seconds: as in `solve`.
+        deadline: time of each call of `solve`, s. When it is over, the last certified solution is returned again, with
+            `Solution.timed_out`; its forces suit the numbers of that solve. An iteration of the kernel, or a step of the
+            fallback that has begun, is not interrupted. Default: no limit.
 
     Raises:
         UnknownName: no backend of that name is available.
-        InvalidInput: explain_seconds is negative.
+        InvalidInput: explain_seconds is negative, or deadline is not positive, or given for a problem with an uncertainty.
     """
 
     def __init__(
@@ -107,9 +110,17 @@ class Solver:
         settings: SolverSettings | None = None,
         explain: bool = True,
         explain_seconds: float | None = None,
+        deadline: float | None = None,
     ) -> None:
         self._problem = problem  # as the last solve left it, unless there is a session
         self._settings = settings or _DEFAULT_SETTINGS
+        self._deadline = deadline
+        self._last: Solution | None = None  # the last certified one, with a deadline
+        if deadline is not None:
+            arrays.check_number(deadline, "deadline", above=0.0)
+            if problem.uncertainty is not None:
+                raise InvalidInput("deadline", deadline, "absent for a problem with an uncertainty")
+            self._settings = _limited(self._settings, deadline)
         self._limit = _explanation_limit(explain, explain_seconds)
         self._refines = _has_wide_weights(problem)
         self._backend: Backend | None = None if backend is None else registry.find_backend(backend)
@@ -152,6 +163,7 @@ class Solver:
             InvalidInput: as `ForceProblem.replace`, the problem stays as it was; or a margin that no limit bounds.
             BackendError: another thread uses this solver, or the named backend does not support the problem.
         """
+        start = 0.0 if self._deadline is None else time.perf_counter()
         solution = None
         if self._session is not None:
             if self._is_robust:
@@ -164,12 +176,40 @@ class Solver:
             self._problem = self._problem.replace(w=w, J=J, tau_u=tau_u, mu=mu, p=p, R=R, normal_limits=normal_limits)
             self._session, solution = self._start_session()
         if solution.is_final and (solution.found or (self._limit == 0.0 and not _has_short_reach(solution))):
-            return _refine_objective(solution) if self._refines else solution
+            self._last = solution if self._deadline is not None and solution.found else self._last
+            return _refine_objective(solution) if self._refines and self._deadline is None else solution
+        if self._deadline is not None:
+            return self._finish_in_time(solution, start + self._deadline)
         solver = solution.backend
         solution = _certify_or_fall_back(solution, self._settings, self._limit)
         if not solution.found or solution.backend != solver:  # the session's iterate is no start for the next solve
             self._end_session()
         return _refine_objective(solution) if self._refines else solution
+
+    def _finish_in_time(self, solution: Solution, end: float) -> Solution:
+        """Return the certified solution, the fallback's if there is time for it, or else the last certified one.
+
+        Args:
+            solution: solution of the session, which is not certified optimal.
+            end: end of the time, on the clock `time.perf_counter`, s.
+        """
+        problem, fallback = solution.original_problem, registry.general_backend()
+        with np.errstate(all="ignore"):  # a solution that overflows is not certified
+            solution = _certify_solution(problem, solution)
+            rest = end - time.perf_counter()
+            if not solution.is_final and solution.backend != fallback.name and rest > 0.0:
+                second = _certify_solution(problem, fallback.solve(problem, SolverSettings(time_limit=rest)))
+                solution = second if second.is_final or not solution.found else solution
+        if solution.status is Status.FAILED:
+            self._end_session()
+            last = self._last
+            is_late = time.perf_counter() >= end
+            if last is None or not is_late:
+                return dataclasses.replace(solution, timed_out=is_late)
+            parts = {field.name: getattr(last, field.name) for field in dataclasses.fields(Solution)}
+            return Solution(**{**parts, "timed_out": True})
+        self._last = solution if solution.found else self._last
+        return solution
 
     def _start_session(self) -> tuple[Session, Solution]:
         """Return a session of the backend, or of the general one if the problem requires it, and its solution."""
@@ -187,6 +227,11 @@ class Solver:
         """Keep the session's problem, and drop the session."""
         self._problem = self.problem
         self._session = None
+
+
+def _limited(settings: SolverSettings, seconds: float) -> SolverSettings:
+    """Return the settings with a time limit of at most the given one, s."""
+    return dataclasses.replace(settings, time_limit=min(seconds, settings.time_limit or math.inf))
 
 
 def _explanation_limit(explain: bool, explain_seconds: float | None) -> float:

@@ -143,6 +143,7 @@ gf_status gf_solve(const gf_structure *structure, const gf_problem *problem, con
     pack(&p);
     gf_iteration a;
     initialise(&a, &p, options->tolerance);
+    a.is_over = options->is_over, a.context = options->context;
     if (last == p.fingerprint)
         start_warm(&a, kept->y, kept->tau);
     else

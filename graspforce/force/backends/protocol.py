@@ -26,7 +26,7 @@ class SolverSettings:
     Args:
         tolerance: bound on the solver's own scaled residuals, > 0.
         max_iterations: limit on the iterations, at least 1.
-        time_limit: limit on the time of one solve, s, > 0. The structured kernel and ProxQP have no such limit.
+        time_limit: limit on the time of one solve, s, > 0. ProxQP has no such limit.
 
     Raises:
         InvalidInput: a value outside its range.

@@ -174,6 +174,7 @@ class KernelSession:
     def __init__(self, problem: ForceProblem, settings: SolverSettings) -> None:
         self._tolerance = settings.tolerance or TOLERANCE
         self._max_iterations = settings.max_iterations or MAX_ITERATIONS
+        self._time_limit = settings.time_limit or 0.0
         self._bind(problem)
 
     @property
@@ -268,6 +269,7 @@ class KernelSession:
         facets, owners = (None, None) if problem.cone.type == "exact" else facet_rows(problem)
         inputs = kernel_inputs(problem, facets)
         self._kernel = IncrementalKernel(_ANY_SIZE, problem.contacts.columns, owners, level_of(problem), *inputs)
+        self._kernel.limit_time(self._time_limit)
         self._loaded, self._result = problem, None
         self._spans = self._kernel.spans()
 

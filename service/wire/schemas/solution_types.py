@@ -154,6 +154,7 @@ class SolutionRecord(Struct, kw_only=True):
         solver: the solver.
         joints: names of the joints in the order of the torques, if a hand is named.
         robust: certificate for errors of the problem, if it has an uncertainty.
+        timed_out: true if the deadline of the solver passed: the answer is that of its last certified problem.
     """
 
     schema: Literal["graspforce/solution/1"]
@@ -169,6 +170,7 @@ class SolutionRecord(Struct, kw_only=True):
     solver: SolverRecord
     joints: list[str] | None = None
     robust: dict[str, Any] | None = None
+    timed_out: bool = False
 
 
 class SolutionReply(SolutionRecord, kw_only=True):

@@ -28,7 +28,8 @@
  * Guarantees
  * ----------
  * - The problem is scaled internally. Results do not depend on the units of length and force, apart from rounding.
- * - The number of iterations is bounded by max_iterations.
+ * - The number of iterations is bounded by max_iterations; is_over can end the search earlier. The best iterate is then returned
+ *   as inaccurate if it is within 1000 times the tolerance.
  * - No memory is allocated, nothing is printed, no global state is written and no locale is read.
  * - Calls with different workspaces may run in different threads at the same time.
  * - NaN, and infinity where it does not mean "no limit", return GF_FAILED.
@@ -100,12 +101,14 @@ extern "C" {
 #endif
 
 typedef struct {
-    gf_real tolerance;  /* of primal residual, dual residual and gap, relative to the size of the problem; > 0 */
-    int max_iterations; /* ≥ 1 */
-    int warm;           /* nonzero: start from the last optimal solution in the workspace if its structure matches */
+    gf_real tolerance;             /* of primal residual, dual residual and gap, relative to the size of the problem; > 0 */
+    int max_iterations;            /* ≥ 1 */
+    int warm;                      /* nonzero: start from the last optimal solution in the workspace if its structure matches */
+    int (*is_over)(void *context); /* called before each iteration but the first; nonzero ends the search. May be NULL */
+    void *context;                 /* argument of is_over */
 } gf_options;
 
-#define GF_OPTIONS_DEFAULT {1e-9, 60, 0}
+#define GF_OPTIONS_DEFAULT {1e-9, 60, 0, NULL, NULL}
 
 /* Return the bytes of workspace that any problem of this structure needs, or 0 if the structure is invalid.
  * The alignment of malloc() is sufficient. */
