@@ -4,10 +4,14 @@ Three fingers of the Allegro hand move a sphere 8 mm peak to peak at 1 Hz with r
 encoder noise. In each round all parts run on the same state in turn, so that a drift of the machine's speed affects them
 equally. The solver's time is that of `Solver.solve` with all numbers changed, warm from the last round, as in the step. The
 least distance of links, palm and object is no part of a step; its time is stated for a controller that reads it in one of 50.
+
+The second table has steps in which no forces exist, each beside a normal one of the same state. The desired acceleration is a
+multiple of the largest one that the grasp can give at the first state. "First" are steps that follow a normal one.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import platform
 import sys
@@ -40,7 +44,20 @@ from graspforce.grasp.grasp import Grasp
 PERIOD, TRAVEL = 1e-3, np.array([0.0, -0.008, 0.0])  # s; m, peak to peak
 TARGETS = "kinematics, contacts, accelerations and wrench"
 DYNAMICS, RESULT = "inverse dynamics", "torques, slip and integral"
+REFUSED = (
+    "Steps in which no forces exist, beside normal ones of the same states, by desired acceleration over the largest one.\n"
+    "*First*: a step without forces that follows a normal one."
+)
 CLEARANCE, CLEARANCE_STEPS = "clearance", 50
+OVERLOADS = (1.01, 2.0, 10.0)  # desired over largest possible acceleration
+OVERLOAD_HEADINGS = (
+    "acceleration over the largest",
+    "steps without forces",
+    "normal µs",
+    "without forces µs",
+    "ratio",
+    "first: ratio",
+)
 HEADINGS = ("part", "10 % µs", "median µs", "99 % µs", "share of the step")
 NOISE = (1e-5, 1e-3, 1e-6, 1e-4)  # standard deviations: q, rad; v, rad/s; object position, m; object twist, m/s and rad/s
 
@@ -99,6 +116,42 @@ def measure(grasp: Grasp, rounds: int) -> tuple[dict[str, np.ndarray], int]:
     return {name: np.array(seconds[rounds // 10 :]) for name, seconds in durations.items()}, certified
 
 
+def overloaded(desired: BodyMotion, acceleration: float) -> BodyMotion:
+    """Return the desired motion with another vertical acceleration, m/s²."""
+    return dataclasses.replace(desired, acceleration=np.array([0.0, 0.0, acceleration, 0.0, 0.0, 0.0]))
+
+
+def largest_acceleration(grasp: Grasp, state: GraspState, desired: BodyMotion) -> float:
+    """Return the vertical acceleration from which no forces exist at a state, m/s², by bisection."""
+    low, high = 0.0, 1e3
+    while high - low > 1e-4 * high:
+        law, middle = ObjectControlLaw(grasp, ControlSettings()), 0.5 * (low + high)
+        command, _ = law.step(law.initial_memory(), state, overloaded(desired, middle))
+        low, high = (middle, high) if command.solution.found else (low, middle)
+    return high
+
+
+def refused_steps(grasp: Grasp, rounds: int) -> list[tuple[str, ...]]:
+    """Return a row for each overload: medians of normal steps and of those without forces, and their ratios."""
+    given, rows = states(grasp, rounds), []
+    largest = largest_acceleration(grasp, *given[0])
+    for factor in OVERLOADS:
+        laws = [ObjectControlLaw(grasp, ControlSettings()) for _ in range(3)]  # normal, overloaded, and in turn
+        memories, times = [law.initial_memory() for law in laws], [[], [], []]
+        for i, (state, desired) in enumerate(given):
+            high = overloaded(desired, factor * largest)
+            for law, target in enumerate((desired, high, high if i % 2 else desired)):
+                start = time.perf_counter()
+                command, memories[law] = laws[law].step(memories[law], state, target)
+                seconds = time.perf_counter() - start
+                if i >= rounds // 10 and command.solution.found == (law == 0):
+                    times[law].append(seconds)
+        normal, without, first = (float(np.median(each)) if each else np.nan for each in times)
+        numbers = (f"{1e6 * normal:.1f}", f"{1e6 * without:.1f}", f"{without / normal:.2f}", f"{first / normal:.2f}")
+        rows.append((f"{factor:g}", f"{len(times[1])} of {rounds - rounds // 10}", *numbers))
+    return rows
+
+
 def shares(durations: dict[str, np.ndarray]) -> list[tuple[str, ...]]:
     """Return the step and its parts, slowest first: name, 10 %, median and 99 % in µs, and share of the step."""
     step, rows = np.median(durations["step"]), []
@@ -122,8 +175,8 @@ def sentence(grasp_name: str, durations: dict[str, np.ndarray], certified: int, 
     )
 
 
-def page(rows: list[tuple[str, ...]], summary: str) -> str:
-    """Return the table as Markdown, with machine and versions."""
+def page(rows: list[tuple[str, ...]], summary: str, refused: list[tuple[str, ...]]) -> str:
+    """Return the tables as Markdown, with machine and versions."""
     lines = [
         "# Time of a control step and of its parts",
         "",
@@ -134,7 +187,8 @@ def page(rows: list[tuple[str, ...]], summary: str) -> str:
         "| " + " | ".join(HEADINGS) + " |",
         "|---|---:|---:|---:|---:|",
     ]
-    return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows), "", summary, ""])
+    parts = [*lines, *("| " + " | ".join(row) + " |" for row in rows), "", summary, "", REFUSED, ""]
+    return "\n".join([*parts, report_page.table(OVERLOAD_HEADINGS, refused), ""])
 
 
 def main() -> None:
@@ -154,8 +208,10 @@ def main() -> None:
     console = Console()
     console.print(table)
     console.print(summary)
+    refused = refused_steps(named_grasp(options.grasp), options.rounds)
+    report_page.show("Steps without forces", OVERLOAD_HEADINGS, refused)
     if options.save:
-        options.save.write_text(page(rows, summary))
+        options.save.write_text(page(rows, summary, refused))
         console.print(f"written to {options.save}")
 
 

@@ -29,6 +29,7 @@ from graspforce.force.problem import ForceProblem
 from graspforce.force.problem_options import Objective
 from graspforce.force.solution import Solution
 from graspforce.force.solver import Solver
+from graspforce.force.status import Status
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.actuation import Actuation
 
@@ -116,6 +117,13 @@ class _Level:
         return cls(margin, limits, shift, force_offset, np.array([lower, upper]), bool((upper >= lower).all()))
 
 
+def _allows_less(level: _Level, bare: _Level) -> bool:
+    """Return whether the limits of a level are within those of another one."""
+    (lower, upper), (least, most) = level.limits.normal, bare.limits.normal
+    friction = bool((level.limits.friction <= bare.limits.friction).all())
+    return friction and bool((lower >= least).all() and (upper <= most).all())
+
+
 class _Outcome(Enum):
     """Outcome of the last step, which decides what the next step tries first. It affects speed only."""
 
@@ -195,6 +203,11 @@ class MarginSolver:
             if f is not None:
                 self._last = _Outcome.FULL
                 return MarginResult(solution, f, wanted.margin, "")
+            if _allows_less(wanted, bare):  # then no smaller margin is feasible either, and one solve shows it
+                solution, f = self._solve_level(bare, targets, tau_u)
+                if f is None and solution.status is Status.INFEASIBLE:
+                    self._last = _Outcome.NONE
+                    return MarginResult(solution, None, 0.0, "")
         elif self._last is _Outcome.NONE:
             solution, f = self._solve_level(bare, targets, tau_u)
             if f is None:
