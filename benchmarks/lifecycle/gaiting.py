@@ -6,7 +6,8 @@ contacts changed in the running controller. The seeds of the searches are tried 
 
 The controller keeps a slip margin of 0.05 N with objects of 50 g and μ = 0.8. *uncertified* counts the control steps without a
 certified solution. The planned margin is the least slip margin of the fingers that neither let go nor join. *apart* is the
-least distance between bodies in the plan.
+least distance between bodies in the plan. Rows with 0 are runs of an earlier version, whose torques could step where contacts
+change.
 """
 
 from __future__ import annotations
