@@ -28,6 +28,7 @@ import numpy as np
 from graspforce.control.state import DesiredMotion, GraspMotion, object_motion
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
+from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.hand.hand import Hand
 
@@ -76,7 +77,12 @@ class TorqueFactors:
         Args:
             desired: the desired motion.
             q: (n,) posture if it has none, rad.
+
+        Raises:
+            InvalidInput: the estimate belongs to another number of motors.
         """
+        if len(self.posture) != len(q):
+            raise InvalidInput("memory.torque_factors.errors", self.errors, f"a list of {len(q)} numbers, one for each motor")
         if isinstance(desired, GraspMotion):
             return GraspMotion(desired.object, desired.q + self.posture, desired.v, desired.a)
         return GraspMotion(object_motion(desired), q + self.posture, _at_rest(len(q)), _at_rest(len(q)))

@@ -109,6 +109,18 @@ def test_record_round_trip_and_its_errors() -> None:
         TorqueFactors.from_dict({"errors": [0.0], "integral": [1.0], "posture": [0.0]}, "memory.torque_factors")
 
 
+def test_shift_moves_the_posture_only_and_names_an_estimate_of_another_hand() -> None:
+    grasp = three_finger_grasp()
+    n, rest = grasp.hand.n, start_of(grasp)
+    factors = TorqueFactors(np.zeros(n), np.zeros(6), np.linspace(0.0, 0.1, n))
+    shifted = factors.shift(rest, grasp.q)
+    np.testing.assert_array_equal(shifted.q, grasp.q + factors.posture)
+    assert shifted.object is rest
+    assert not shifted.v.any()
+    with pytest.raises(InvalidInput, match=r"memory\.torque_factors\.errors"):
+        TorqueFactors(np.zeros(2), np.zeros(6), np.zeros(2)).shift(rest, grasp.q)
+
+
 def moved_error(drive: Drive, world: World) -> float:
     """Return the RMS distance from a motion of 5 mm at 1 Hz in its second half, m."""
     grasp = three_finger_grasp()
