@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.core.arrays import Array
 from graspforce.grasp.search.link_spheres import LinkSphere, cover, finger_spheres
@@ -53,6 +54,8 @@ class BatchKinematics:
         tip_radii: (F,) radii of the tips, m; zero where the description gives none.
         tip_links: (F,) index of the link that carries each tip.
         first_links: (F,) index of the first link that belongs to each finger alone.
+        own_links: (F,) indices of all of these, base first.
+        blocked_joints: (n,) whether each joint belongs to a finger that overlaps the palm if all fingers are stretched.
         first_sphere: (F,) index of each finger's first sphere; its last one is the sphere of the tip.
         sphere_finger: (S,) index of each sphere's finger.
         sphere_radii: (S,) radii of the fingers' spheres, m.
@@ -74,6 +77,8 @@ class BatchKinematics:
         shared = _shared_links(self._chains)
         own = [[i for i in chain if i not in shared] for chain in self._chains]
         self.first_links = [chain[0] for chain in own]
+        self.own_links = [tuple(chain) for chain in own]
+        self.blocked_joints = _blocked_joints(hand, self.collision, own)
         spheres = [finger_spheres(tree, chain, tip, self.collision) for chain, tip in zip(own, tree.tips, strict=True)]
         self.first_sphere = np.cumsum([0, *(len(each) for each in spheres)])[:-1]
         self.sphere_finger = np.repeat(np.arange(len(spheres)), [len(each) for each in spheres])
@@ -198,6 +203,18 @@ def _chain(links: tuple[Link, ...], tip: Tip) -> list[int]:
 def _shared_links(chains: list[list[int]]) -> set[int]:
     """Return the links in the chains of several fingers, such as a wrist and the folds of a palm."""
     return {i for i in set().union(*chains) if sum(i in chain for chain in chains) > 1}
+
+
+def _blocked_joints(hand: Hand, collision: HandCollision, own: list[list[int]]) -> npt.NDArray[np.bool_]:
+    """Return whether each joint belongs to a finger that overlaps the palm if all fingers are stretched, (n,)."""
+    frames = {body.name: body.frame for body in collision.bodies}
+    moving, blocked = {link for links in own for link in links}, np.zeros(hand.n, dtype=bool)
+    for gap in collision.link_gaps(np.clip(0.0, hand.q_lower, hand.q_upper)):
+        ends = {frames[gap.first], frames[gap.second]}
+        if gap.distance < 0.0 and ends - moving:
+            for finger, links in zip(hand.fingers, own, strict=True):
+                blocked[list(finger.joints)] |= bool(ends & set(links))
+    return blocked
 
 
 def _last_link_excess(spheres: list[LinkSphere], tip: Tip) -> Array:

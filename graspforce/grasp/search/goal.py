@@ -62,7 +62,7 @@ class SearchGoal:
         fingers: indices of the N touching fingers.
         requirements: the geometric requirements.
         radii: (N,) radii of the touching tips, m.
-        rest: (n,) preferred posture, rad: neutral for touching fingers, stretched for the others.
+        rest: (n,) preferred posture, rad: neutral for touching fingers, stretched for the others unless that overlaps the palm.
         used_joints: indices of the joints of the touching fingers.
         joint_scale: (n,) 1 rad, or 50 mm for a prismatic joint: positions that are compared with angles are divided by it.
         travel_directions: (K, 3) unit vectors in H along which these fingers can move an object.
@@ -92,7 +92,7 @@ class SearchGoal:
         self._undriven = np.flatnonzero(used & (hand.torque_upper == 0.0))
         self.joint_scale = np.array([_SLIDE_SCALE if joint.is_prismatic else 1.0 for joint in hand.joints])
         self.travel_directions = kinematics.travel_directions(fingers)
-        self.rest = np.where(used, hand.neutral, np.clip(0.0, hand.q_lower, hand.q_upper))  # rad
+        self.rest = np.where(used | kinematics.blocked_joints, hand.neutral, np.clip(0.0, hand.q_lower, hand.q_upper))  # rad
         self._half_range = (hand.q_upper - hand.q_lower) / 2.0  # rad
         # The last link of a touching finger leaves the object at the contact: it has no gap, but must not penetrate.
         touching, excess = np.isin(kinematics.sphere_finger, fingers), kinematics.last_link_excess
