@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -21,9 +22,11 @@ from graspforce.force.problem_options import Objective
 from graspforce.force.solution import Solution
 from graspforce.force.solver import solve
 from graspforce.grasp.grasp import Grasp
+from graspforce.grasp.link_grasp import LinkGrasp
 from graspforce.grasp.posture_files import load_postures
 from graspforce.grasp.posture_repair import PostureOptions
-from graspforce.grasp.search import GraspSearchOptions, find_grasps
+from graspforce.grasp.search import GraspClass, GraspSearchOptions, find_grasps, find_link_grasp
+from graspforce.grasp.search.grasp_class import ENVELOPING_CLASSES
 from graspforce.grasp.search.options import GraspSearchProgress
 
 _AXES = "xyz"
@@ -127,7 +130,7 @@ def run(options: GraspCommandOptions, output: GraspOutput, console: Console) -> 
     Raises:
         InvalidInput: no grasp was found, or the file of postures cannot be read.
     """
-    grasps = _search(options, console) if options.postures is None else _from_file(options, options.postures, console)
+    grasps = _grasps(options, console)
     found: list[dict[str, object]] = []
     for number, grasp in enumerate(grasps, start=1):
         margins = [solve(grasp.force_problem(g, objective=Objective("margin"))) for g in options.gravities]
@@ -135,13 +138,55 @@ def run(options: GraspCommandOptions, output: GraspOutput, console: Console) -> 
             console.print(str(grasp), highlight=False)
             least_effort = [solve(grasp.force_problem(g), explain=False) for g in options.gravities]
             console.print(_load_table(options.gravities, margins, least_effort))
-        found.append({"grasp": grasp.to_dict(), "fingers": grasp.fingers, "slip_margins": [_margin(each) for each in margins]})
+        touching = {"links": grasp.links} if isinstance(grasp, LinkGrasp) else {"fingers": grasp.fingers}
+        found.append({"grasp": grasp.to_dict(), **touching, "slip_margins": [_margin(each) for each in margins]})
         _write(grasp, min(margins, key=_margin), output, "" if number == 1 else f"_{number}", console)
     put_result(console, {"gravities": options.gravities, "grasps": found})
     return bool(grasps)
 
 
-def _write(grasp: Grasp, worst: Solution, output: GraspOutput, suffix: str, console: Console) -> None:
+def _grasps(options: GraspCommandOptions, console: Console) -> Sequence[Grasp | LinkGrasp]:
+    """Return the grasps of the search, or of the file of postures."""
+    if options.postures is not None:
+        return _from_file(options, options.postures, console)
+    if isinstance(options.search.grasp_class, GraspClass) and options.search.grasp_class.value in ENVELOPING_CLASSES:
+        return [_search_links(options, options.search.grasp_class, console)]
+    return _search(options, console)
+
+
+def _search_links(options: GraspCommandOptions, grasp_class: GraspClass, console: Console) -> LinkGrasp:
+    """Search a grasp with contacts on inner links or the palm, with a progress bar."""
+    given = options.grasp
+    for value, option in (
+        (given.fingers, "--fingers"),
+        (options.search.approach_O, "--approach"),
+        (options.search.up_O, "--table"),
+    ):
+        if value is not None:
+            raise InvalidInput(option, value, f"absent for the class {grasp_class.value}")
+    if options.count != 1:
+        raise InvalidInput("--count", options.count, f"1 for the class {grasp_class.value}; other seeds find other grasps")
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("Closing fingers", total=None)
+
+        def on_progress(progress: GraspSearchProgress) -> bool:
+            text = f"{progress.tried} candidates, {progress.found} meet all requirements"
+            bar.update(task, total=progress.largest, completed=progress.tried, description=text)
+            return True
+
+        return find_link_grasp(
+            given.hand,
+            given.body,
+            grasp_class,
+            friction=given.mu,
+            gravity_H=options.gravities,
+            seed=given.seed,
+            options=replace(options.search, callback=on_progress),
+        )
+
+
+def _write(grasp: Grasp | LinkGrasp, worst: Solution, output: GraspOutput, suffix: str, console: Console) -> None:
     """Write the files of a grasp."""
     if output.save is not None:
         path = output.save.with_stem(output.save.stem + suffix)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -9,16 +11,19 @@ from typing import TYPE_CHECKING
 import numpy.typing as npt
 
 from graspforce.contact.contact import Contact, ContactSet
-from graspforce.core import arrays, fields
+from graspforce.core import arrays, fields, json_text
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
+from graspforce.core.whole_file import write_text
 from graspforce.geometry.poses import pose_from_dict, pose_to_dict
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.hand_contacts import HandContacts
 from graspforce.hand.hand import Hand
+
+LINK_SCHEMA = "graspforce/link_grasp/1"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -124,6 +129,39 @@ class LinkGrasp(HandContacts):
             return cls(hand, body, links, ContactSet.stack(contacts), q, p_HO, R_HO)
         except InvalidInput as error:
             raise error.with_prefix(field) from None
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], hand: Hand | None = None) -> LinkGrasp:
+        """Return the grasp of a file that `save` wrote.
+
+        Args:
+            path: the file.
+            hand: the hand; by default it is loaded by the name in the file.
+
+        Raises:
+            InvalidInput: not such a file, a field is out of range, or the grasp is of another hand.
+            UnknownName: the hand in the file does not ship with graspforce, and `hand` is not given.
+            OSError: the file cannot be read.
+        """
+        record = fields.check_record(json_text.read(path), "", required=["schema", "hand", "grasp"])
+        fields.check_choice(record["schema"], "schema", [LINK_SCHEMA])
+        name = fields.check_text(record["hand"], "hand")
+        if hand is not None and hand.name != name:
+            raise InvalidInput("hand", hand.name, f"{name}, the hand of the grasp in {path}")
+        return cls.from_dict(record["grasp"], Hand.load(name) if hand is None else hand)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the grasp to a JSON file, with the name of its hand.
+
+        Args:
+            path: the file; an existing file is replaced.
+
+        Raises:
+            InvalidInput: the body's shape is an implicit surface, whose function cannot be saved.
+            OSError: the file cannot be written.
+        """
+        record = {"schema": LINK_SCHEMA, "hand": self.hand.name, "grasp": self.to_dict()}
+        write_text(path, json.dumps(record) + "\n")
 
     def to_dict(self) -> JsonRecord:
         """Return the record of the grasp, without its hand.

@@ -15,6 +15,7 @@ from graspforce.force.problem import ForceProblem
 from graspforce.force.solution import Solution
 from graspforce.geometry import Box, Cylinder, Shape, Sphere, Superquadric, TriangleMesh
 from graspforce.grasp.grasp import Grasp
+from graspforce.grasp.link_grasp import LinkGrasp
 
 OBJECT, FORCE, INSIDE, EDGE, FINGER = "#56B4E9", "#D55E00", "#009E73", "#CC3311", "#777777"  # distinct if colour-blind
 _CONE_SIDES = 24
@@ -22,14 +23,15 @@ _EDGE_SHARE = 0.95  # of the friction limit: from here a cone is drawn in the co
 _GRID = 25
 
 
-def show(subject: Grasp | ForceProblem, solution: Solution | None = None) -> Figure:
+def show(subject: Grasp | LinkGrasp | ForceProblem, solution: Solution | None = None) -> Figure:
     """Return a picture of a grasp or a force problem in the object's frame O.
 
     Cones are green, and red where the force uses more than 95 % of the friction limit. In a notebook the figure appears by
     itself; elsewhere call ``figure.savefig("grasp.png")``.
 
     Args:
-        subject: a grasp, drawn with its object and fingers; or a force problem, drawn with its contacts alone.
+        subject: a grasp, drawn with its object and fingers, all of them if links touch; or a force problem, drawn with its
+            contacts alone.
         solution: forces to draw; those of a grasp's or problem's contacts, in their order.
 
     Raises:
@@ -42,7 +44,7 @@ def show(subject: Grasp | ForceProblem, solution: Solution | None = None) -> Fig
     axes = figure.add_subplot(projection="3d")
     size = _object_size(contacts)
     points = [contacts.p_OC]
-    if isinstance(subject, Grasp):
+    if isinstance(subject, Grasp | LinkGrasp):
         if subject.body.shape is not None:
             points.append(_draw_object(axes, subject.body.shape))
         points.append(_draw_fingers(axes, subject))
@@ -54,12 +56,13 @@ def show(subject: Grasp | ForceProblem, solution: Solution | None = None) -> Fig
     return figure
 
 
-def _title(subject: Grasp | ForceProblem, solution: Solution | None) -> str:
-    what = (
-        f"{subject.hand.name}, {len(subject.fingers)} fingers"
-        if isinstance(subject, Grasp)
-        else subject.name or "force problem"
-    )
+def _title(subject: Grasp | LinkGrasp | ForceProblem, solution: Solution | None) -> str:
+    if isinstance(subject, Grasp):
+        what = f"{subject.hand.name}, {len(subject.fingers)} fingers"
+    elif isinstance(subject, LinkGrasp):
+        what = f"{subject.hand.name}, {len(set(subject.links))} links"
+    else:
+        what = subject.name or "force problem"
     if solution is None:
         return f"{what}: {len(subject.contacts)} contacts and their friction cones"
     if not solution.found:
@@ -143,11 +146,11 @@ def _cylinder_profile(shape: Cylinder) -> tuple[Array, Array]:
     return radius, 0.5 * shape.height * np.array([-1.0, -1.0, 1.0, 1.0])
 
 
-def _draw_fingers(axes: Any, grasp: Grasp) -> Array:
+def _draw_fingers(axes: Any, grasp: Grasp | LinkGrasp) -> Array:
     """Draw the fingers that hold as lines from joint to joint, with a ball at each tip; return the points to show, m."""
     origins, tree = grasp.hand.model.joint_origins(grasp.q), grasp.hand.tree()
     seen = []
-    for tip in (tip for tip in tree.tips if tip.finger in grasp.fingers):
+    for tip in (tip for tip in tree.tips if isinstance(grasp, LinkGrasp) or tip.finger in grasp.fingers):
         chain, link = [grasp.hand.tip_pose(grasp.q, tip.finger)[0]], tip.link
         while link >= 0:
             chain.append(origins[link])

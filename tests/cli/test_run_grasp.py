@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from graspforce.cli import main
 from graspforce.grasp.grasp import Grasp
+from graspforce.grasp.link_grasp import LinkGrasp
 
 
 @pytest.fixture(scope="module")
@@ -60,6 +61,16 @@ def test_several_grasps_of_a_class_have_its_fingers_and_their_own_files(
     grasps = [Grasp.load(path), Grasp.load(tmp_path / "grasp_2.json")]
     assert all(len(grasp.fingers) == 3 for grasp in grasps)
     assert all("thumb" in grasp.fingers for grasp in grasps)
+
+
+def test_power_grasps_are_shown_and_saved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, command = tmp_path / "power.json", ["grasp", "--hand", "dlr_hit2", "--object", "sphere:0.03", "--class", "power"]
+    assert main([*command, "--save", str(path), "--plots", str(tmp_path / "plots")]) == 0
+    assert "palm" in LinkGrasp.load(path).links
+    assert "largest slip margin" in capsys.readouterr().out
+    assert (tmp_path / "plots" / "grasp.png").stat().st_size > 0
+    assert main([*command, "--count", "2"]) == 1
+    assert "--count = 2" in capsys.readouterr().err
 
 
 def test_options_are_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -29,7 +29,7 @@ def grasp(
         float | None, typer.Option(metavar="S", help="Time after which the search ends with the best grasp so far.")
     ] = None,
     grasp_class: Annotated[
-        str | None, typer.Option("--class", metavar="NAME", help="Class of the grasp, such as pinch, tripod or quadpod.")
+        str | None, typer.Option("--class", metavar="NAME", help="Class of the grasp, such as pinch, tripod or power.")
     ] = None,
     approach: Annotated[
         str | None,
@@ -66,6 +66,9 @@ def grasp(
 
     With --postures, fingertips near the object are moved onto it, and postures that do not hold it are listed with the reason.
     The grasp with the largest slip margin is shown.
+
+    The classes power and lateral have contacts on inner links and the palm. Forces, quality, explanation and pictures work with
+    such a grasp; control and plans need contacts of fingertips.
 
     Exit code 1: no grasp was found, or no posture of the file holds the object.
     """

@@ -1,5 +1,6 @@
 """Search for grasps: where the fingers of a hand touch an object, and in which posture."""
 
+from graspforce.grasp.search.enveloping import find_link_grasp
 from graspforce.grasp.search.grasp_class import GraspClass
 from graspforce.grasp.search.idle_fingers import relax_idle_fingers
 from graspforce.grasp.search.options import GraspSearchCallback, GraspSearchOptions, GraspSearchProgress
@@ -20,6 +21,7 @@ __all__ = [
     "TravelLimit",
     "find_grasp",
     "find_grasps",
+    "find_link_grasp",
     "measure_grasp",
     "relax_idle_fingers",
     "travel_limits",

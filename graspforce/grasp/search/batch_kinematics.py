@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from graspforce.core.arrays import Array
+from graspforce.core.arrays import Array, freeze
 from graspforce.grasp.search.link_spheres import LinkSphere, cover, finger_spheres
 from graspforce.hand.collision import HandCollision
 from graspforce.hand.hand import Hand
@@ -166,6 +166,21 @@ class BatchKinematics:
             p.append(p_PL)
             R.append(R_PL)
         return p, R
+
+
+def palm_normal(hand: Hand, kinematics: BatchKinematics, R_HP: Array) -> Array:
+    """Return the axis of the palm nearest to the mean direction from the fingers' bases to their tips in the neutral posture.
+
+    Args:
+        hand: the hand without its common joints.
+        kinematics: its kinematics.
+        R_HP: (3, 3) axes of the palm in H.
+    """
+    bases = hand.model.joint_origins(hand.neutral)[kinematics.first_links]
+    direction = kinematics.evaluate(hand.neutral[None]).tip_centres[0].mean(axis=0) - bases.mean(axis=0)
+    along = direction @ R_HP
+    axis = np.abs(along).argmax()
+    return freeze(np.sign(along[axis]) * R_HP[:, axis])
 
 
 def rotations(v: Array) -> Array:

@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.contact.contact import Contact, ContactModel, ContactSet
+from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
+from graspforce.core.constants import STANDARD_GRAVITY
 from graspforce.force.problem import ForceProblem
 from graspforce.force.problem_options import Objective
 from graspforce.force.solver import solve
@@ -171,3 +174,16 @@ def _nearest_rotation(R: Array) -> Array:
     """Return the rotation nearest to a product of rotations, without its rounding error."""
     U, _, Vt = np.linalg.svd(R)
     return np.asarray(U @ Vt)
+
+
+def load_cases(gravity_H: npt.ArrayLike | None) -> Array:
+    """Return the load cases (K, 3), m/s².
+
+    Args:
+        gravity_H: (3,) or (K, 3) accelerations of gravity in H, m/s²; None for the six directions of H's axes.
+    """
+    if gravity_H is None:
+        return STANDARD_GRAVITY * np.vstack([np.eye(3), -np.eye(3)])
+    if np.ndim(gravity_H) == 1:
+        return arrays.check_array(gravity_H, "gravity_H", (3,))[None]
+    return arrays.check_array(gravity_H, "gravity_H", (None, 3))

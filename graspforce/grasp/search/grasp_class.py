@@ -19,7 +19,7 @@ _FIRST_NAMES = ("index", "first", "fore")
 
 
 class GraspClass(Enum):
-    """A class of fingertip grasps."""
+    """A class of grasps. `find_grasp` finds those of fingertips, and `find_link_grasp` power and lateral."""
 
     PINCH = "pinch"  # two fingers with soft contacts, one of them the thumb
     TRIPOD = "tripod"  # thumb and two fingers
@@ -30,6 +30,11 @@ class GraspClass(Enum):
     WRITING_TRIPOD = "writing-tripod"  # thumb, index finger and its neighbour on the side of a cylinder
     ADDUCTION_GRIP = "adduction-grip"  # two neighbouring fingers with soft contacts, without the thumb
     PARALLEL_EXTENSION = "parallel-extension"  # thumb, opposed by three neighbouring fingers
+    POWER = "power"  # palm, inner links and tips of all fingers
+    LATERAL = "lateral"  # thumb against the side of the index finger
+
+
+ENVELOPING_CLASSES = (GraspClass.POWER.value, GraspClass.LATERAL.value)  # names of classes with contacts beside the tips
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +82,8 @@ def class_finger_sets(hand: Hand, grasp_class: GraspClass, shape: Solid) -> list
     Raises:
         InvalidInput: the hand has too few fingers for the class, or the class does not apply to the shape.
     """
+    if grasp_class not in _RULES:
+        raise InvalidInput("grasp_class", grasp_class.value, "a class of fingertips; find_link_grasp finds this one")
     rule, names = _RULES[grasp_class], [finger.name.lower() for finger in hand.fingers]
     if grasp_class is GraspClass.WRITING_TRIPOD and not isinstance(shape, Cylinder):
         kind = type(shape).__name__.lower()
@@ -106,4 +113,4 @@ def opposing_fingers(grasp_class: GraspClass | None) -> int:
     Args:
         grasp_class: the class; None for any grasp.
     """
-    return 0 if grasp_class is None else _RULES[grasp_class].opposing
+    return _RULES[grasp_class].opposing if grasp_class in _RULES else 0

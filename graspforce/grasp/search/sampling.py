@@ -34,7 +34,7 @@ def sample_candidates(goal: SearchGoal, rng: np.random.Generator, prior: Posture
     one = tips[rows, alone]
     others = (tips.sum(axis=1) - one) / (N - 1)
     p_HO = (one + others) / 2.0
-    R_HO = _random_axes(one - others, rng)
+    R_HO = random_axes(one - others, rng)
     weights = np.full((B, N), 0.5 / (N - 1))  # λ: the single finger balances the others
     weights[rows, alone] = 0.5
     p_O = ((tips - p_HO[:, None]) @ R_HO).reshape(-1, 3)
@@ -42,8 +42,13 @@ def sample_candidates(goal: SearchGoal, rng: np.random.Generator, prior: Posture
     return Candidates(np.hstack([q, p_HO, np.zeros((B, 3)), weights]), R_HO, face)
 
 
-def _random_axes(v: Array, rng: np.random.Generator) -> Array:
-    """Return axes (B, 3, 3), a random one of them along each vector v (B, 3), the others at a random angle about it."""
+def random_axes(v: Array, rng: np.random.Generator) -> Array:
+    """Return axes (B, 3, 3), a random one of them along each vector, the others at a random angle about it.
+
+    Args:
+        v: (B, 3) vectors.
+        rng: random generator.
+    """
     B = len(v)
     x = v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-12)
     y = np.cross(x, rng.normal(size=(B, 3)))

@@ -13,14 +13,13 @@ import numpy.typing as npt
 
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
-from graspforce.core.constants import STANDARD_GRAVITY
 from graspforce.core.errors import InvalidInput
 from graspforce.geometry import Solid
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
-from graspforce.grasp.search.batch_kinematics import BatchKinematics
+from graspforce.grasp.search.batch_kinematics import BatchKinematics, palm_normal
 from graspforce.grasp.search.candidates import Candidates, GeometryRequirements
-from graspforce.grasp.search.checks import UNMOVABLE_PENALTY, CandidateResult, LoadRequirements, check_candidate
+from graspforce.grasp.search.checks import UNMOVABLE_PENALTY, CandidateResult, LoadRequirements, check_candidate, load_cases
 from graspforce.grasp.search.common_joints import without_common_joints
 from graspforce.grasp.search.goal import SearchGoal, hull_points
 from graspforce.grasp.search.grasp_class import GraspClass, class_finger_sets, opposing_fingers
@@ -106,7 +105,7 @@ def find_grasp(
         body=body,
         friction=arrays.check_number(friction, "friction", above=0.0),
         max_normal=options.max_normal,
-        gravities=_gravities(gravity_H),
+        gravities=load_cases(gravity_H),
         slip_margin=options.slip_margin,
         pad_friction=options.pad_friction,
     )
@@ -119,7 +118,7 @@ def find_grasp(
     hand = without_common_joints(hand, hand.neutral)
     kinematics = BatchKinematics(hand)
     p_HP, R_HP = hand.link_poses(hand.neutral)[hand.palm]
-    palm_normal_H = _palm_normal(hand, kinematics, R_HP) if options.palm_normal_H is None else freeze(options.palm_normal_H)
+    palm_normal_H = palm_normal(hand, kinematics, R_HP) if options.palm_normal_H is None else freeze(options.palm_normal_H)
     if options.travel is None:  # fewer descents for the travel that is only preferred
         attempts = [(_DEFAULT_TRAVEL, _DESCENTS // 2), (0.0, _DESCENTS)]
     else:
@@ -343,27 +342,3 @@ def _finger_sets(
 def _all_soft(hand: Hand, fingers: Sequence[int]) -> bool:
     """Return whether all fingers have soft pads."""
     return all(hand.fingers[i].torsional_friction is not None for i in fingers)
-
-
-def _palm_normal(hand: Hand, kinematics: BatchKinematics, R_HP: Array) -> Array:
-    """Return the axis of the palm nearest to the mean direction from the fingers' bases to their tips in the neutral posture.
-
-    Args:
-        hand: the hand without its common joints.
-        kinematics: its kinematics.
-        R_HP: (3, 3) axes of the palm in H.
-    """
-    bases = hand.model.joint_origins(hand.neutral)[kinematics.first_links]
-    direction = kinematics.evaluate(hand.neutral[None]).tip_centres[0].mean(axis=0) - bases.mean(axis=0)
-    along = direction @ R_HP
-    axis = np.abs(along).argmax()
-    return freeze(np.sign(along[axis]) * R_HP[:, axis])
-
-
-def _gravities(gravity_H: npt.ArrayLike | None) -> Array:
-    """Return the load cases (K, 3), m/s²."""
-    if gravity_H is None:
-        return STANDARD_GRAVITY * np.vstack([np.eye(3), -np.eye(3)])
-    if np.ndim(gravity_H) == 1:
-        return arrays.check_array(gravity_H, "gravity_H", (3,))[None]
-    return arrays.check_array(gravity_H, "gravity_H", (None, 3))

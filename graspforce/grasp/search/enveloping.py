@@ -1,0 +1,297 @@
+"""Search for enveloping grasps: contacts on inner links and the palm, several on one finger.
+
+Each candidate places the object against a part of the hand and then closes fingers around it:
+
+- *power*: the object lies on the palm, and all fingers close. The palm and an inner link of a finger touch at least.
+- *lateral*: the object lies against the side of the index finger, and the thumb closes onto it.
+
+The collision shapes of the links touch; contacts on an edge of the object are left out, because it has no normal there. Every
+candidate is checked for force closure, forces within the motors' limits under each gravity, and overlaps.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from graspforce.contact.contact import Contact, ContactModel, ContactSet
+from graspforce.core import arrays, fields
+from graspforce.core.arrays import Array
+from graspforce.core.errors import InvalidInput
+from graspforce.force.problem_options import Objective
+from graspforce.force.solver import solve
+from graspforce.geometry import Solid
+from graspforce.grasp.body import Body
+from graspforce.grasp.link_grasp import LinkGrasp
+from graspforce.grasp.search.batch_kinematics import BatchKinematics, palm_normal
+from graspforce.grasp.search.checks import LoadRequirements, closure_quality, load_cases
+from graspforce.grasp.search.closing import GAP, ClosingFinger, TouchScene
+from graspforce.grasp.search.grasp_class import ENVELOPING_CLASSES, GraspClass
+from graspforce.grasp.search.options import GraspSearchOptions, GraspSearchProgress
+from graspforce.grasp.search.sampling import random_axes, search_limits
+from graspforce.hand.hand import Hand
+
+_CANDIDATES = 400  # at most
+_ENOUGH = 2  # candidates without a fault, of which the one with the best closure is chosen
+_CLOSING = 0.03  # m: a joint closes a finger if its range brings the tip nearer to the palm's axis by this
+_ONE_SIDED = 2.0  # ratio of the longer to the shorter side of the range of a joint that bends a finger
+_HEIGHT = 0.05  # m, above the palm, of the point that closing fingers approach
+_OPEN_SHARE = (0.3, 1.0)  # of the way from neutral to its open end, at which a closing joint starts
+_OPENINGS = 6  # postures, each nearer to neutral, of which the first without overlaps is taken
+_SIDE_SHARE = 0.3  # of half its range around neutral, in which the other joints are sampled
+_PLACE_SPREAD = 0.03  # m, of the object along the palm
+_TILT = 0.3  # rad, of the lateral class: of the approach to the index finger
+_FAR = 0.25  # m, from which the object approaches
+_APPROACH_STEP = 0.004  # m
+_SAME_POINT = 1e-3  # m: nearer contacts of one link count once
+_TIE = 4.0 * GAP  # m: links this near touch
+
+
+def find_link_grasp(
+    hand: Hand,
+    body: Body,
+    grasp_class: GraspClass | str = GraspClass.POWER,
+    *,
+    friction: float = 0.6,
+    gravity_H: npt.ArrayLike | None = None,
+    seed: int = 0,
+    options: GraspSearchOptions | None = None,
+) -> LinkGrasp:
+    """Find a grasp with contacts on inner links or the palm.
+
+    The search is random, with a seed: equal arguments give equal grasps. Of the first two candidates without a fault, it
+    returns the one with the best force closure.
+
+    Args:
+        hand: the hand.
+        body: the object. Its shape is a sphere, cylinder, box, superquadric or mesh; the last two touch with their convex hull.
+        grasp_class: `GraspClass.POWER` or `GraspClass.LATERAL`, or its name.
+        friction: μ of all contacts, > 0.
+        gravity_H: (3,) or (K, 3) accelerations of gravity in H, m/s², each a load case. By default 9.81 m/s² along the six
+            directions of H's axes.
+        seed: seed of the random candidates, ≥ 0.
+        options: of these count `max_normal`, `slip_margin`, `palm_normal_H`, `pad_friction`, which makes all contacts soft,
+            `budget` and `callback`.
+
+    Returns:
+        The best grasp found.
+
+    Raises:
+        InvalidInput: an argument is not allowed, or no grasp was found. In the second case the field is `body`, and the message
+            names the requirement that the best candidate fails.
+    """
+    options = GraspSearchOptions() if options is None else options
+    chosen = GraspClass(fields.check_choice(getattr(grasp_class, "value", grasp_class), "grasp_class", ENVELOPING_CLASSES))
+    if not isinstance(body.shape, Solid):
+        given = None if body.shape is None else type(body.shape).__name__
+        raise InvalidInput("body.shape", given, "a sphere, cylinder, box, superquadric or mesh")
+    load = LoadRequirements(
+        hand=hand,
+        body=body,
+        friction=arrays.check_number(friction, "friction", above=0.0),
+        max_normal=options.max_normal,
+        gravities=load_cases(gravity_H),
+        slip_margin=options.slip_margin,
+        pad_friction=options.pad_friction,
+    )
+    seed = fields.check_integer(seed, "seed", minimum=0, maximum=2**32 - 1)
+    sampler = _Sampler(hand, body.shape, chosen, options)
+    best, start, found = _Checked(None, "no posture touches it", 0.0), time.perf_counter(), 0
+    rng = np.random.default_rng(seed)
+    for k in range(_CANDIDATES):
+        result = _check(sampler, rng, load)
+        found += not result.fault
+        best = max(best, result, key=lambda each: (not each.fault, each.quality))
+        seconds = time.perf_counter() - start
+        progress = GraspSearchProgress(k + 1, _CANDIDATES, found, best.fault, seconds)
+        is_stopped = options.callback is not None and not options.callback(progress)
+        if found >= _ENOUGH or is_stopped or (options.budget is not None and seconds >= options.budget):
+            break
+    if best.grasp is None or best.fault:
+        allowed = f"an object that {hand.name} can hold in a {chosen.value} grasp; best candidate: {best.fault}"
+        raise InvalidInput("body", type(body.shape).__name__, allowed)
+    return best.grasp
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Checked:
+    """A candidate after its checks: the grasp, its fault, and a quality that is larger the later the failed check."""
+
+    grasp: LinkGrasp | None
+    fault: str
+    quality: float
+
+
+class _Sampler:
+    """Random candidates of a class."""
+
+    def __init__(self, hand: Hand, shape: Solid, grasp_class: GraspClass, options: GraspSearchOptions) -> None:
+        self.hand, self.shape, self.grasp_class = hand, shape, grasp_class
+        kinematics = BatchKinematics(hand)
+        self.scene = TouchScene(hand, kinematics.collision, shape)
+        self.limits = search_limits(hand)
+        R_HP = hand.link_poses(hand.neutral)[hand.palm][1]
+        given = options.palm_normal_H
+        self._normal = np.asarray(palm_normal(hand, kinematics, R_HP) if given is None else given)
+        self._bases = hand.model.joint_origins(hand.neutral)[kinematics.first_links]
+        self.fingers = _closing_fingers(hand, kinematics, self._bases.mean(axis=0) + _HEIGHT * self._normal)
+        self.palm = set(range(-1, len(kinematics.links))) - {frame for finger in self.fingers for frame in finger.frames}
+        names = [finger.name.lower() for finger in hand.fingers]
+        self._thumb = next((i for i, name in enumerate(names) if "thumb" in name), None)
+        others = [i for i in range(len(names)) if i != self._thumb]
+        self._first = next((i for i in others if any(each in names[i] for each in ("index", "first", "fore"))), others[0])
+        if grasp_class is GraspClass.LATERAL and self._thumb is None:
+            raise InvalidInput("grasp_class", grasp_class.value, f"another class: {hand.name} has no thumb")
+
+    def sample(self, rng: np.random.Generator) -> tuple[Array, Array, Array] | None:
+        """Return posture, position and axes of the object of a random candidate; None if the object does not get in place."""
+        q = self._open_posture(rng)
+        if q is None:
+            return None
+        if self.grasp_class is GraspClass.POWER:
+            R_HO = random_axes(self._normal[None], rng)[0]
+            target = self._bases.mean(axis=0) + _PLACE_SPREAD * rng.uniform(-1.0, 1.0, 3)
+            placed = self._approach(q, target, -self._normal, R_HO, self.palm)
+            closing = self.fingers
+        else:
+            direction, target = self._side_of_first(q, rng)
+            R_HO = random_axes(direction[None], rng)[0]
+            placed = self._approach(q, target, direction, R_HO, set(self.fingers[self._first].frames))
+            closing = tuple(finger for finger in self.fingers if finger.name == self.hand.fingers[self._thumb or 0].name)
+        if placed is None:
+            return None
+        for finger in closing:
+            q = self.scene.close(finger, q, placed, R_HO)
+        return q, placed, R_HO
+
+    def _open_posture(self, rng: np.random.Generator) -> Array | None:
+        """Return a posture between neutral and the open ends of the closing joints; None if links overlap there."""
+        hand, (lower, upper) = self.hand, self.limits
+        sideways = hand.neutral + _SIDE_SHARE * (upper - lower) / 2.0 * rng.uniform(-1.0, 1.0, hand.n)
+        share, curl = rng.uniform(*_OPEN_SHARE, hand.n), rng.uniform(0.2, 0.9)  # curl: of the lateral class
+        for _ in range(_OPENINGS):
+            q = np.array(sideways)
+            for f, finger in enumerate(self.fingers):
+                is_curled = self.grasp_class is GraspClass.LATERAL and f != self._thumb
+                for j, sign in zip(finger.joints, finger.signs, strict=True):
+                    towards = upper[j] if (sign > 0.0) == is_curled else lower[j]
+                    q[j] = hand.neutral[j] + (curl if is_curled else share[j]) * (towards - hand.neutral[j])
+            q = np.clip(q, lower, upper)
+            overlapping = self.scene.overlapping_links(q)
+            if not overlapping:
+                return q
+            for finger, each in zip(self.fingers, hand.fingers, strict=True):
+                if overlapping & set(finger.frames):  # nearer to neutral
+                    own = list(each.joints)
+                    share[own], sideways[own] = 0.5 * share[own], 0.5 * (sideways[own] + hand.neutral[own])
+            curl *= 0.9
+        return None
+
+    def _side_of_first(self, q: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Return the direction in which the object approaches the index finger's side, and a point in the finger, m."""
+        links = self.fingers[self._first].frames
+        origins = self.hand.model.joint_origins(q)
+        ends = np.array([*origins[list(links)], self.hand.tip_pose(q, self.fingers[self._first].name)[0]])
+        k = int(rng.integers(max(len(ends) - 2, 1), len(ends)))
+        target = ends[k - 1] + rng.uniform(0.2, 0.9) * (ends[k] - ends[k - 1])
+        thumb = self.hand.tip_pose(q, self.hand.fingers[self._thumb or 0].name)[0]
+        along = ends[k] - ends[k - 1]
+        direction = target - thumb + np.linalg.norm(target - thumb) * _TILT * rng.normal(size=3)
+        direction -= along * (direction @ along) / max(float(along @ along), 1e-12)
+        return direction / np.linalg.norm(direction), target
+
+    def _approach(self, q: Array, target: Array, direction: Array, R_HO: Array, frames: set[int]) -> Array | None:
+        """Return where a moving object first touches one of some links; None if it overlaps others there."""
+        start, centre = target - _FAR * direction, R_HO @ self.shape.centre
+        longest, chosen = _FAR + 0.1, np.array([body.frame in frames for body in self.scene.bodies[:-1]])
+
+        def gap(s: float) -> float:
+            gaps = self.scene.object_gaps(q, start + s * direction - centre, R_HO, 0.02)[0]
+            return float(gaps[chosen].min(initial=np.inf))
+
+        s = self.scene.first_touch(gap, longest, _APPROACH_STEP)
+        placed = start + s * direction - centre
+        if s == 0.0 or s >= longest or self.scene.object_gaps(q, placed, R_HO, GAP)[0].min() < 0.0:
+            return None
+        return np.asarray(placed)
+
+
+def _closing_fingers(hand: Hand, kinematics: BatchKinematics, centre: Array) -> tuple[ClosingFinger, ...]:
+    """Return the joints that close each finger.
+
+    A joint bends a finger if its range about zero, the stretched finger, is much longer on one side: that side closes. In a
+    finger without such joints, those close it that bring its tip much nearer to a point of H, m, over their range.
+    """
+    ends, every = np.tile(hand.neutral, (2, hand.n, 1)), np.arange(hand.n)
+    ends[0, every, every], ends[1, every, every] = hand.q_lower, hand.q_upper
+    tips = kinematics.evaluate(ends.reshape(-1, hand.n)).tip_centres.reshape(2, hand.n, len(hand.fingers), 3)
+    nearer = np.linalg.norm(tips[0] - centre, axis=2) - np.linalg.norm(tips[1] - centre, axis=2)  # (n, F) m, at the upper end
+    above, below = np.maximum(hand.q_upper, 0.0), np.maximum(-hand.q_lower, 0.0)
+    bends = np.where(above > _ONE_SIDED * below, 1.0, np.where(below > _ONE_SIDED * above, -1.0, 0.0))
+    found = []
+    for f, finger in enumerate(hand.fingers):
+        own = list(finger.joints)
+        signs = bends[own] if bends[own].any() else np.sign(nearer[own, f]) * (np.abs(nearer[own, f]) > _CLOSING)
+        joints = tuple(j for j, sign in zip(own, signs.tolist(), strict=True) if sign)
+        found.append(ClosingFinger(finger.name, joints, tuple(signs[signs != 0.0].tolist()), kinematics.own_links[f]))
+    return tuple(found)
+
+
+# ── checks ─────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def _check(sampler: _Sampler, rng: np.random.Generator, load: LoadRequirements) -> _Checked:
+    """Return a random candidate after all checks."""
+    sample = sampler.sample(rng)
+    if sample is None:
+        return _Checked(None, "no posture touches it", 0.0)
+    q, p_HO, R_HO = sample
+    links, contacts, frames = _contacts(sampler, sample, load)
+    touching = sum(bool(frames & set(finger.frames)) for finger in sampler.fingers)
+    if sampler.grasp_class is GraspClass.POWER and not (frames & sampler.palm and touching >= 2):
+        return _Checked(None, "the palm and two fingers do not touch the object", 0.05 * touching)
+    if len(contacts) < 2:
+        return _Checked(None, "fewer than two links touch the object", 0.0)
+    gaps, _ = sampler.scene.object_gaps(q, p_HO, R_HO, 1e-3)
+    if min(sampler.scene.link_gap(q), float(gaps.min())) < -GAP:
+        return _Checked(None, "links overlap", 0.2)
+    grasp = LinkGrasp(load.hand, load.body, links, ContactSet.stack(contacts), q, p_HO, R_HO)
+    closure = closure_quality(grasp.contacts, load.friction)
+    if closure <= 0.0:
+        return _Checked(grasp, "the contacts are not force-closed", 0.3)
+    margins = [solve(grasp.force_problem(g, objective=Objective("margin")), explain=False) for g in load.gravities]
+    held = sum(each.found and float(each.objective or 0.0) >= load.slip_margin for each in margins)
+    if held < len(margins):
+        fault = f"it holds the object in {held} of {len(margins)} directions of gravity"
+        return _Checked(grasp, fault, 0.4 + 0.1 * held / len(margins))
+    return _Checked(grasp, "", closure)
+
+
+def _contacts(
+    sampler: _Sampler, sample: tuple[Array, Array, Array], load: LoadRequirements
+) -> tuple[list[str], list[Contact], set[int]]:
+    """Return the links that touch the object, the contacts, and the indices of the moving links."""
+    q, p_HO, R_HO = sample
+    gaps, points = sampler.scene.object_gaps(q, p_HO, R_HO, 1e-3)
+    links, contacts, frames = list[str](), list[Contact](), set[int]()
+    soft = load.pad_friction is not None
+    for k in np.flatnonzero(gaps <= _TIE).tolist():
+        body = sampler.scene.bodies[k]
+        try:
+            p = sampler.shape.project_to_surface((points[k, 1] - p_HO) @ R_HO)
+            normal = sampler.shape.inward_normal(p)
+        except InvalidInput:  # an edge
+            continue
+        seen = (np.linalg.norm(p - each.position) for name, each in zip(links, contacts, strict=True) if name == body.name)
+        if any(distance < _SAME_POINT for distance in seen):
+            continue
+        contact = Contact(p, normal, load.friction, max_normal=load.max_normal)
+        if soft:
+            contact = replace(contact, model=ContactModel.SOFT, torsional_friction=load.pad_friction)
+        links.append(body.name)
+        contacts.append(contact)
+        frames.add(body.frame)
+    return links, contacts, frames
