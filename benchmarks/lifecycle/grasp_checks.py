@@ -13,11 +13,13 @@ import mujoco
 import numpy as np
 from scipy.optimize import linprog
 
-from graspforce.contact.contact import ContactModel
+from graspforce.contact.contact import ContactModel, ContactSet
 from graspforce.core.arrays import Array
 from graspforce.geometry import Sphere
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
+from graspforce.grasp.hand_contacts import HandContacts
+from graspforce.grasp.link_grasp import LinkGrasp
 from graspforce.hand.collision import hand_collision
 from graspforce.simulation import build_scene
 from graspforce.simulation.plants.link_geoms import LINK_PREFIX
@@ -28,7 +30,7 @@ _EDGES = 16  # of the pyramid inside a friction cone
 _LEVER = 0.03  # m: moments count as forces at this lever
 
 
-def penetration(grasp: Grasp, layers: Sequence[Array] = ()) -> float:
+def penetration(grasp: Grasp | LinkGrasp, layers: Sequence[Array] = ()) -> float:
     """Return the deepest penetration that MuJoCo finds, m; 0 without one.
 
     Two links may not touch unless they are neighbours, nor the object and a link other than those of the touching fingertips.
@@ -38,6 +40,9 @@ def penetration(grasp: Grasp, layers: Sequence[Array] = ()) -> float:
         grasp: the grasp.
         layers: vertices (M, 3) in O of convex parts of the object, m; by default the object's shape is one that MuJoCo has.
     """
+    if isinstance(grasp, LinkGrasp):  # a scene needs one finger that touches
+        first = ContactSet.stack([grasp.contacts.contacts[0]])
+        grasp = Grasp(grasp.hand, grasp.body, (grasp.hand.fingers[0].name,), first, grasp.q, grasp.p_HO, grasp.R_HO)
     hand = grasp.hand
     scene = build_scene(replace(grasp, body=Body.solid(Sphere(1e-3), grasp.body.mass)) if layers else grasp)
     parts = [OBJECT]
@@ -62,7 +67,7 @@ def penetration(grasp: Grasp, layers: Sequence[Array] = ()) -> float:
     return max(0.0, -min(mujoco.mj_geomDistance(model, data, i, j, 0.01, None) for i, j in pairs))
 
 
-def is_closed(grasp: Grasp) -> bool:
+def is_closed(grasp: HandContacts) -> bool:
     """Return whether the contacts are force-closed.
 
     They are if the wrenches of all edges of the pyramids span all wrenches, and a combination with coefficients of at least 1
@@ -78,7 +83,7 @@ def is_closed(grasp: Grasp) -> bool:
     return bool(linprog(np.zeros(count), A_eq=wrenches, b_eq=np.zeros(6), bounds=(1.0, None)).status == 0)
 
 
-def bears_weight(grasp: Grasp, gravity_H: Array) -> bool:
+def bears_weight(grasp: HandContacts, gravity_H: Array) -> bool:
     """Return whether contact forces within the limits of motors and contacts bear the object at rest.
 
     Args:
@@ -114,7 +119,7 @@ def bears_weight(grasp: Grasp, gravity_H: Array) -> bool:
     return bool(solution.status == 0)
 
 
-def _edges(grasp: Grasp) -> tuple[Array, Array]:
+def _edges(grasp: HandContacts) -> tuple[Array, Array]:
     """Return the edges of the pyramids: wrenches about O in O (6, M), and padded forces of all contacts (4 N, M)."""
     angles = 2.0 * np.pi * np.arange(_EDGES) / _EDGES
     wrenches, forces = [], []

@@ -1,8 +1,8 @@
 """Grasp search: objects of the IST set and generated meshes, with grasp classes, within 3 s of processor time.
 
-Each case is one call of `find_grasp` with seed 0, an object of 50 g, μ = 0.6, and a torsional friction of 4 mm for tips without
-pads. The search is told to end after 2.3 s of processor time, and ends after the candidate that it then tries. Cases run in a
-random order, so that a part of them covers all hands, objects and classes.
+Each case is one call of `find_grasp`, or of `find_link_grasp` for the classes power and lateral: seed 0, an object of 50 g,
+μ = 0.6, and a torsional friction of 4 mm for tips without pads. The search is told to end after 2.3 s of processor time, and
+ends after the candidate that it then tries. Cases run in a random order, so that a part of them covers all hands and objects.
 
 Three checks use no code of the search. MuJoCo finds no penetration above 0.1 mm between links, or between the object and links
 other than those of touching fingertips. The contacts are force-closed by a linear program over pyramids of 16 edges inside the
@@ -34,7 +34,10 @@ from graspforce.core.errors import InvalidInput
 from graspforce.core.result_file import ResultFile, read_results
 from graspforce.geometry import Cylinder, Solid
 from graspforce.grasp.body import Body
-from graspforce.grasp.search import GraspClass, GraspSearchOptions, GraspSearchProgress, find_grasp
+from graspforce.grasp.grasp import Grasp
+from graspforce.grasp.link_grasp import LinkGrasp
+from graspforce.grasp.search import GraspClass, GraspSearchOptions, GraspSearchProgress, find_grasp, find_link_grasp
+from graspforce.grasp.search.grasp_class import ENVELOPING_CLASSES
 from graspforce.hand.hand import Hand
 from graspforce.problems.objects import ist_objects
 
@@ -110,7 +113,7 @@ def run(path: Path, options: argparse.Namespace) -> None:
         random.Random(0).shuffle(cases)
         for (kind, k), hand, grasp_class in cases[: options.cases]:
             thing = _objects()[kind][k]
-            if _fits(thing[1], grasp_class) and (hand, kind, thing[0], grasp_class) not in done:
+            if _fits(hand, thing[1], grasp_class) and (hand, kind, thing[0], grasp_class) not in done:
                 record = _search(hand, kind, thing, grasp_class)
                 print(record, flush=True)
                 results.append(asdict(record))
@@ -123,8 +126,10 @@ def _objects() -> dict[str, list[tuple[str, Solid, list[Array]]]]:
     return {"IST": ist, "mesh": [(each.name, each.mesh, each.layers) for each in lumps()]}
 
 
-def _fits(shape: Solid, grasp_class: str) -> bool:
-    """Return whether a class applies to a shape."""
+def _fits(hand: str, shape: Solid, grasp_class: str) -> bool:
+    """Return whether a class applies to a hand and a shape."""
+    if grasp_class == GraspClass.LATERAL.value and hand == "four_finger":
+        return False  # without a thumb
     return grasp_class != GraspClass.WRITING_TRIPOD.value or isinstance(shape, Cylinder)
 
 
@@ -141,7 +146,10 @@ def _search(hand_name: str, kind: str, thing: tuple[str, Solid, list[Array]], gr
         grasp_class=None if grasp_class == "any" else GraspClass(grasp_class), pad_friction=PADS, callback=callback
     )
     try:
-        grasp = find_grasp(hand, body, friction=FRICTION, options=options)
+        if grasp_class in ENVELOPING_CLASSES:
+            grasp: Grasp | LinkGrasp = find_link_grasp(hand, body, grasp_class, friction=FRICTION, options=options)
+        else:
+            grasp = find_grasp(hand, body, friction=FRICTION, options=options)
     except InvalidInput as error:
         return SearchRecord(hand_name, kind, name, grasp_class, str(error), time.process_time() - start)
     seconds = time.process_time() - start
