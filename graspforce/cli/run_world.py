@@ -216,6 +216,7 @@ def world_table(world: World) -> Table:
     for name, deviation, unit in (
         ("fingertip forces", world.sensors.tip_force_noise, "N"),
         ("joint torques", world.sensors.torque_noise, "N·m"),
+        ("motor currents", world.sensors.current_noise, "A"),
     ):
         table.add_row(name, "not measured" if deviation is None else f"measured with {deviation:.2g} {unit} noise")
     camera = world.sensors.camera

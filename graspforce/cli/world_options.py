@@ -21,13 +21,15 @@ _NOISE = {
     "encoder": (("encoder_noise", "encoder_resolution"), 1),
     "velocity": (("velocity_noise",), 1),
     "torque": (("torque_noise",), 1),
+    "current": (("current_noise",), 1),
     "tip": (("tip_force_noise",), 1),
     "point": (("contact_point_noise",), 1),
     "pose": (("position_noise", "angle_noise"), 2),
     "bias": (("position_bias", "angle_bias"), 1),
 }
 _NOISE_FORMAT = (
-    "encoder=RAD[:RESOLUTION], velocity=RAD/S, torque=NM, tip=N, point=M, pose=M:RAD or bias=M[:RAD], separated by commas"
+    "encoder=RAD[:RESOLUTION], velocity=RAD/S, torque=NM, current=A, tip=N, point=M, pose=M:RAD or "
+    "bias=M[:RAD], separated by commas"
 )
 
 

@@ -23,6 +23,7 @@ from graspforce.estimation.contact_friction import (
     ContactFrictionSettings,
     FrictionBlocks,
 )
+from graspforce.estimation.current_torques import CurrentTorques
 from graspforce.estimation.estimate import EstimatorMemory, GraspEstimate
 from graspforce.estimation.joints.joint_filter import JointFilter
 from graspforce.estimation.measurement import Measurement
@@ -126,10 +127,14 @@ class GraspMonitor:
 
     Args:
         grasp: hand, object and contacts.
-        sensors: noise of the sensors. Contact forces come from joint torques, measured or commanded, and fingertip sensors.
+        sensors: noise of the sensors. Contact forces come from fingertip sensors and from joint torques: measured ones, those
+            of measured currents (`current_torques`), or commanded ones.
         period: time between two steps, s.
         gravity_H: (3,) acceleration of gravity in H, m/s².
         settings: settings of all parts.
+
+    Raises:
+        InvalidInput: currents are measured, and the torque constant of a drive is unknown.
     """
 
     def __init__(
@@ -148,7 +153,13 @@ class GraspMonitor:
         noise = np.repeat([camera.position_noise, camera.angle_noise], 3)
         self._agreement = _AGREEMENT * math.sqrt(2.0) * noise  # m and rad: largest difference of two poses
         disturbance_error = math.sqrt(joints.covariance(in_the_end)[2, 2])  # rad/s²
-        self._forces = make_force_estimator(grasp, sensors, self._gravity_H, settings.forces, disturbance_error)
+        self._currents: CurrentTorques | None = None
+        errors, measured = settings.forces, sensors
+        if sensors.current_noise is not None and sensors.torque_noise is None:
+            self._currents = CurrentTorques(grasp.hand)
+            of_currents = self._currents.noise(sensors.current_noise)
+            errors, measured = of_currents.added_to(errors), replace(sensors, torque_noise=of_currents.noise)
+        self._forces = make_force_estimator(grasp, measured, self._gravity_H, errors, disturbance_error)
         self._slip = make_detector(len(grasp.contacts), grasp.body.shape, sensors, period, settings.slip)
         self._friction = make_friction_estimator(grasp, period, settings.friction, self._forces.measured_variance)
         self._payload = make_payload_estimator(grasp.body, _PAYLOAD_STEPS * period, settings.payload)
@@ -175,7 +186,7 @@ class GraspMonitor:
             applied: command that acted during the last period.
         """
         contacts = estimator.pose
-        tau = applied.tau if measurement.tau is None else measurement.tau
+        tau = self._measured_torque(measurement, estimate.v, applied.tau)
         joints = estimate.q, estimate.v, estimate.disturbance
         forces, force_memory = self._forces.step(
             memory.forces,
@@ -205,6 +216,14 @@ class GraspMonitor:
             GraspMonitorEstimate(forces, slip, friction, payload.estimate),
             GraspMonitorMemory(force_memory, slip_memory, friction_memory, payload, recent, rejected),
         )
+
+    def _measured_torque(self, measurement: Measurement, v: Array, commanded: Array) -> Array:
+        """Return the best known joint torques without joint friction, (n,), N·m: measured, of the currents, or commanded."""
+        if measurement.tau is not None:
+            return measurement.tau
+        if self._currents is not None and measurement.current is not None:
+            return self._currents.torques(measurement.current, v)
+        return commanded
 
     def _credible(self, last: Array | None, error: Array | None, accepted: bool | None) -> tuple[Array | None, Array | None]:
         """Return the error of a pose that the slip detector may use, and the error that waits for a pose to confirm it.

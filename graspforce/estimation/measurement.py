@@ -105,7 +105,7 @@ class Measurement:
         current: (n,) motor currents, A; None if not measured.
         tip_wrench: (N, 6) force and moment of each finger on the object at its contact point, in H, N and N·m; a row for each
             contact of the grasp. None if not measured.
-        contact_points: (N, 3) contact points in H, m; None if not measured. The estimators do not use them.
+        contact_points: (N, 3) contact points in H, m; None if not measured. `TipOffsetEstimator` uses them.
         object: pose of the object that arrived since the last measurement; it may be older than `t`. None if none arrived.
 
     Raises:

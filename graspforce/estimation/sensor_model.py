@@ -58,6 +58,8 @@ class SensorModel:
         has_velocity: whether joint rates are measured.
         velocity_noise: standard deviation of a measured joint rate, rad/s.
         torque_noise: standard deviation of a measured joint torque, N·m; None if torques are not measured.
+        current_noise: standard deviation of a measured motor current, A; None if contact forces do not follow from currents.
+            Currents count if joint torques are not measured, and need torque constants in the hand's description.
         tip_force_noise: standard deviation of each component of a measured fingertip force, N; None if not measured.
         camera: sensor of the object's pose; None if there is none.
 
@@ -74,6 +76,7 @@ class SensorModel:
     torque_noise: float | None = None
     tip_force_noise: float | None = None
     camera: CameraModel | None = None
+    current_noise: float | None = None
 
     def __post_init__(self) -> None:
         fields.check_boolean(self.has_velocity, "has_velocity")
@@ -88,8 +91,8 @@ class SensorModel:
 
     @property
     def has_force_sensors(self) -> bool:
-        """Whether joint torques or fingertip forces are measured."""
-        return self.torque_noise is not None or self.tip_force_noise is not None
+        """Whether joint torques, motor currents or fingertip forces are measured."""
+        return any(each is not None for each in (self.torque_noise, self.current_noise, self.tip_force_noise))
 
     def to_dict(self) -> JsonRecord:
         """Return the record of the sensors."""

@@ -84,8 +84,8 @@ def simulate(
         str | None,
         typer.Option(
             metavar="NAME=VALUE,…",
-            help="Standard deviations: encoder=RAD[:RESOLUTION], velocity=RAD/S, torque=N·m, tip=N, point=M, pose=M:RAD, and "
-            "the camera's constant error bias=M[:RAD]. A sensor that is named is present.",
+            help="Standard deviations: encoder=RAD[:RESOLUTION], velocity=RAD/S, torque=N·m, current=A, tip=N, point=M, "
+            "pose=M:RAD. Constant error of the camera: bias=M[:RAD]. A sensor that is named is present.",
             rich_help_panel=_WORLD,
         ),
     ] = None,

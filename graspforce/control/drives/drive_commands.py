@@ -25,10 +25,9 @@ from graspforce.core.arrays import Array, freeze
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import make_unchecked
 from graspforce.hand.descriptions.drive_description import DRIVE_MODES, DriveMode
-from graspforce.hand.drives.drive import CURRENT_MODES, POSITION_MODES
+from graspforce.hand.drives.drive import CURRENT_MODES, DIRECTION_RATE, POSITION_MODES
 from graspforce.hand.hand import Hand
 
-DIRECTION_RATE = 0.02  # rad/s: the gear's direction is blended over about this joint rate
 _OVERDRIVE = 0.1  # of the torque by which a servo's position exceeds the one that reaches the current limit
 
 

@@ -21,6 +21,7 @@ from graspforce.hand.descriptions.drive_description import DRIVE_MODES, DriveDes
 
 CURRENT_MODES: tuple[DriveMode, ...] = ("current", "position_with_current_limit")
 POSITION_MODES: tuple[DriveMode, ...] = ("impedance", "position", "position_with_current_limit")
+DIRECTION_RATE = 0.02  # rad/s: the gear's direction is blended over about this joint rate
 WINDING_REFERENCE = 25.0  # °C, at which `resistance` is given
 
 

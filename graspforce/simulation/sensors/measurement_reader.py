@@ -1,4 +1,4 @@
-"""Measurements of a plant in a world: encoders, a camera, fingertip sensors and joint torques, with their errors."""
+"""Measurements of a plant in a world: encoders, a camera, fingertip sensors, joint torques and currents, with their errors."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from graspforce.core.arrays import Array, freeze
+from graspforce.estimation.current_torques import CurrentTorques
 from graspforce.estimation.measurement import Measurement, PoseMeasurement
 from graspforce.grasp.grasp import Grasp
 from graspforce.simulation.plants.plant_interface import PlantInterface
@@ -15,7 +16,7 @@ from graspforce.simulation.sensors.sensor_models import SensorChannel
 from graspforce.simulation.worlds.world import World, random_direction
 
 _FIRST_STREAM = 100  # of random numbers; the world uses smaller numbers
-_ENCODER, _VELOCITY, _TORQUE, _TIP, _POINT, _CAMERA, _OFFSET, _BIAS = range(_FIRST_STREAM, _FIRST_STREAM + 8)
+_ENCODER, _VELOCITY, _TORQUE, _TIP, _POINT, _CAMERA, _OFFSET, _BIAS, _CURRENT = range(_FIRST_STREAM, _FIRST_STREAM + 9)
 _OUTLIER_DISTANCE, _OUTLIER_ANGLE = 0.05, 1.0  # m and rad: standard deviations of an outlier's error, for each component
 _TIP_SENSOR_ARM = 0.01  # m: noise of a fingertip's moment is this length times the noise of its force
 _ROUNDING = 1e-9  # s: sums of time steps
@@ -37,12 +38,14 @@ class MeasurementReader:
     def __init__(self, world: World, grasp: Grasp) -> None:
         self._world, self._sensors = world, world.sensors
         rng = world.rng
-        self._rng = {name: rng(name) for name in (_ENCODER, _VELOCITY, _TORQUE, _TIP, _POINT, _CAMERA)}
+        self._rng = {name: rng(name) for name in (_ENCODER, _VELOCITY, _TORQUE, _TIP, _POINT, _CAMERA, _CURRENT)}
         self._encoder = SensorChannel(world.sensors.encoder_noise, world.sensors.encoder_resolution)
         self._velocity, self._torque, self._point = (
             SensorChannel(noise or 0.0)
             for noise in (world.sensors.velocity_noise, world.sensors.torque_noise, world.contact_point_noise)
         )
+        self._current = SensorChannel(world.sensors.current_noise or 0.0)
+        self._motors = None if world.sensors.current_noise is None else CurrentTorques(grasp.hand)
         self._encoder_offset = world.encoder_offset * rng(_OFFSET).uniform(-1.0, 1.0, grasp.hand.n)  # rad
         self._position_bias, self._rotation_bias = np.zeros(3), Rotation.identity()
         if self._sensors.camera is not None:
@@ -77,11 +80,13 @@ class MeasurementReader:
             plant: the plant.
         """
         sensors, state, contacts = self._sensors, plant.state(), plant.true_contacts()
-        v = tau = tip_wrench = contact_points = None
+        v = tau = current = tip_wrench = contact_points = None
         if sensors.has_velocity:
             v = self._velocity.read(state.v, self._rng[_VELOCITY])
         if sensors.torque_noise is not None:
             tau = self._torque.read(contacts.tau, self._rng[_TORQUE])
+        if self._motors is not None:
+            current = self._current.read(self._motors.currents(contacts.tau, state.v), self._rng[_CURRENT])
         R_HO, p_HO = state.object.R_HO, state.object.p_HO
         if sensors.tip_force_noise is not None:
             wrench = np.zeros((len(contacts.f), 6))  # N and N·m, in O
@@ -94,7 +99,7 @@ class MeasurementReader:
             points = p_HO + contacts.p_OC @ R_HO.T
             contact_points = self._point.read(points, self._rng[_POINT])
         q = self._encoder.read(state.q + self._encoder_offset, self._rng[_ENCODER])
-        return Measurement(plant.t, q, v, tau, None, tip_wrench, contact_points, self._arrived_pose(plant.t))
+        return Measurement(plant.t, q, v, tau, current, tip_wrench, contact_points, self._arrived_pose(plant.t))
 
     def _take_image(self, plant: PlantInterface) -> PoseMeasurement:
         """Return the pose in an image of the plant's present state."""
