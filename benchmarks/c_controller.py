@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 from datetime import date
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -60,15 +61,22 @@ COUNTED = (  # figures on a microcontroller
 HEADINGS = ("part", "10 % µs", "median µs", "99 % µs", "99.99 % µs", "largest µs")
 
 
+@cache
+def reference(name: str, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return random states of a grasp, (M, 2 n + 42), and the torques of Python for them, (M, n)."""
+    grasp = named_grasp(name)
+    records = random_records(grasp, steps, seed=11)
+    return records, python_torques(grasp, records)[0]
+
+
 def compare(folder: Path, library: list[Path], steps: int) -> list[tuple[str, ...]]:
     """Return a row for each grasp: steps, certified ones, median and largest difference of a torque, N·m."""
     rows = []
     for name in COMPARED:
         grasp = named_grasp(name)
-        records = random_records(grasp, steps, seed=11)
+        records, expected = reference(name, steps)
         program = build_loop(folder / name.replace(" ", "_"), "control_loop.c", grasp, library, *FLAGS)
         torques, report = run_loop(program, records, grasp.hand.n)
-        expected, _ = python_torques(grasp, records)
         difference = np.abs(torques - expected).max(axis=1)
         rows.append((name, str(steps), " ".join(report.split()), f"{np.median(difference):.1e}", f"{difference.max():.1e}"))
     return rows
@@ -127,10 +135,9 @@ def compare_single(folder: Path, steps: int) -> list[tuple[str, ...]]:
     rows = []
     for name in COMPARED:
         grasp = named_grasp(name)
-        records = random_records(grasp, steps, seed=11)
+        records, expected = reference(name, steps)
         loop = (folder / f"{name.replace(' ', '_')}32", "control_loop.c", grasp, library, *FLAGS, "-DGF_FLOAT32")
         torques, report = run_loop(build_loop(*loop), records, grasp.hand.n, np.float32)
-        expected, _ = python_torques(grasp, records)
         difference = np.abs(torques - expected).max(axis=1)
         figures = [f"{each:.1e}" for each in (*np.quantile(difference, (0.5, 0.999)), difference.max())]
         rows.append((name, str(steps), " ".join(report.split()), *figures, f"{np.abs(expected).max():.2f}"))
