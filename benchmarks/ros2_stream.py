@@ -118,11 +118,14 @@ class Robot:
 
     def call(self, service: str) -> str:
         """Call a service without fields, and return its message."""
-        client = self._joined.client(f"{NODE}/{service}", messages.TRIGGER, *TRIGGER)
-        response = client.call(structure_needs_at_least_one_member=0)
-        if not response.success:
-            raise SystemExit(f"the service {service} failed: {response.message}")
-        return str(response.message)
+        client, end = self._joined.client(f"{NODE}/{service}", messages.TRIGGER, *TRIGGER), time.monotonic() + TIMEOUT
+        while True:  # on a busy machine, the first states or the goal may still be on their way
+            response = client.call(structure_needs_at_least_one_member=0)
+            if response is not None and response.success:
+                return str(response.message)
+            if time.monotonic() > end:
+                raise SystemExit(f"the service {service} failed: {response and response.message}")
+            time.sleep(REST)
 
     def send_goal(self, rise: float) -> None:
         """Send the pose of the object, risen by a distance in m, as the goal of a plan."""
