@@ -81,8 +81,8 @@ class RegraspOptions:
             raise InvalidInput("--angle", self.angle, "an angle other than zero, rad")
         arrays.check_number(self.slip_margin, "--slip-margin", minimum=0.0)
         arrays.check_number(self.budget, "--budget", above=0.0)
-        if arrays.check_number(self.friction_error, "--friction-error", minimum=0.0) >= 1.0:
-            raise InvalidInput("--friction-error", self.friction_error, "less than 1")
+        if arrays.check_number(self.friction_error, "--friction-uncertainty", minimum=0.0) >= 1.0:
+            raise InvalidInput("--friction-uncertainty", self.friction_error, "less than 1")
         if self.to is not None and not any(self.to + self.turn):
             raise InvalidInput("--to", self.to, "different from zero, or give --turn")
 

@@ -16,7 +16,7 @@ import numpy as np
 from graspforce.contact.compiled_kinematics import contacts_from_block, primitive_parameters
 from graspforce.contact.kinematics import RollingContacts, TipContactState
 from graspforce.control.contacts.contact_constraints import ContactConstraints
-from graspforce.control.contacts.mobility import NO_TWISTS, SPIN_COMPLIANCE_START, Accelerations, MassFactor
+from graspforce.control.contacts.mobility import NO_TWISTS, SPIN_DAMPING_START, Accelerations
 from graspforce.control.contacts.pad_spin import spin_acceleration
 from graspforce.control.memory import ControlMemory
 from graspforce.control.settings import ControlSettings
@@ -58,8 +58,8 @@ def step_parameters(
         "posture_stiffness": settings.posture_stiffness,
         "posture_damping": settings.posture_damping,
         "rank_tolerance": settings.rank_tolerance,
-        "compliance": constraints.compliance,
-        "compliance_start": SPIN_COMPLIANCE_START,
+        "spin_damping": constraints.spin_damping,
+        "spin_damping_start": SPIN_DAMPING_START,
         "period": settings.period,
         "creep_decay": creep_decay,
         "creep_limit": settings.creep_limit,
@@ -72,7 +72,6 @@ def step_parameters(
         "gravity_H": settings.gravity_H,
         "inertia": body.inertia,
         "p_OM": body.p_OM,
-        "mobility": MassFactor.from_body(body).mobility,
         "radii": np.array([finger.tip_radius or 0.0 for finger in fingers]),
         "p_OC": contacts.p_OC,
         "R_OC": contacts.R_OC,

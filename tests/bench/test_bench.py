@@ -324,10 +324,12 @@ def test_results_do_not_depend_on_uninitialised_memory() -> None:
     assert answers[0] == answers[1] == answers[2]
 
 
-def test_unsupported_problems_are_marked_unsupported() -> None:
+def test_unsupported_problems_are_marked_unsupported(fake) -> None:
+    refusing = fake("refusing_solver", "from graspforce.core.errors import BackendError; raise BackendError('no cones')")
     with Worker(limit=10.0) as worker:
-        assert worker.run(task("structured", "opposed/margin")).judgement.verdict is Verdict.UNSUPPORTED
-        assert worker.run(task("structured", "opposed/capped")).judgement.verdict is Verdict.CERTIFIED
+        assert worker.run(task(refusing, "opposed/margin")).judgement.verdict is Verdict.UNSUPPORTED
+        for case in ("opposed/margin", "opposed/capped"):
+            assert worker.run(task("structured", case)).judgement.verdict is Verdict.CERTIFIED
 
 
 def test_pyramid_replacing_a_cone_has_its_own_feasibility() -> None:

@@ -37,7 +37,7 @@ def test_failed_search_gives_its_reason_and_exit_code_1(monkeypatch, capsys):
 def test_goal_pose_is_searched_on_any_path(monkeypatch, capsys):
     goals = []
     monkeypatch.setattr(run_regrasp, "plan_regrasp_to", lambda goal, *_: goals.append(goal) or plan_with_one_step())
-    assert main([*SHORT, "--to=0,0,0.001", "--turn=0,0,0.1", "--friction-error", "0.1"]) == 0
+    assert main([*SHORT, "--to=0,0,0.001", "--turn=0,0,0.1", "--friction-uncertainty", "0.1"]) == 0
     assert "complete" in capsys.readouterr().out
     (goal,) = goals
     assert goal.p_HO - goal.grasp.p_HO == pytest.approx([0.0, 0.0, 0.001])
@@ -56,7 +56,7 @@ def test_goal_pose_is_searched_on_any_path(monkeypatch, capsys):
         ("--slip-margin", "-1"),
         ("--budget", "0"),
         ("--to", "0,0,0"),
-        ("--friction-error", "1"),
+        ("--friction-uncertainty", "1"),
     ],
 )
 def test_wrong_option_is_named(option, value, capsys):

@@ -26,15 +26,14 @@ SETTINGS = [
     "posture_stiffness",
     "posture_damping",
     "rank_tolerance",
-    "compliance",
-    "compliance_start",
+    "spin_damping",
+    "spin_damping_start",
     "period",
     "creep_decay",
     "creep_limit",
 ]
 SETTINGS += ["contact_tolerance", "mass"]
 GRASP_ARRAYS = {"kp": (6,), "kd": (6,), "ki": (6,), "integral_limits": (2,), "gravity_H": (3,), "inertia": (3, 3), "p_OM": (3,)}
-GRASP_ARRAYS |= {"mobility": (6, 6)}
 GRASP_ARRAYS |= {"radii": (N,), "p_OC": (N, 3), "R_OC": (N, 3, 3), "q": (J,), "max_posture_pull": (J,), "p_LF": (N, 3)}
 GRASP_ARRAYS |= {"R_LF": (N, 3, 3), "T": (M, J), "torque_limits": (2, J), "saturation_limits": (2, J), "q_limits": (2, J)}
 STATE = {"q": (J,), "v": (J,), "p_HO": (3,), "R_HO": (3, 3), "twist": (6,), "p_d": (3,), "R_d": (3, 3), "twist_d": (6,)}

@@ -69,7 +69,7 @@ def test_soft_pads_that_spin_equal_python(tmp_path: Path, library: list[Path]) -
     records = random_records(grasp, 100, seed=4, scale=0.2)
     torques, report = run_loop(build_loop(tmp_path, "control_loop.c", grasp, library), records, grasp.hand.n)
     expected, commands = python_torques(grasp, records)
-    assert ".compliance = 0.01" in (tmp_path / "grasp_controller.c").read_text()
+    assert ".spin_damping = 0.014" in (tmp_path / "grasp_controller.c").read_text()
     assert report.split() == ["full", "100"]
     assert all(command.solution.found for command in commands)
     np.testing.assert_allclose(torques, expected, rtol=0.0, atol=TOLERANCE)

@@ -275,7 +275,7 @@ def test_solution_has_no_state_of_its_backend():
     names = {field.name for field in dataclasses.fields(Solution)}
     assert names == {
         "status", "problem", "f", "certificate", "infeasibility", "backend", "iterations", "seconds", "multipliers",
-        "cost_bound",
+        "cost_bound", "timed_out",
     }  # fmt: skip
     solution = gf.Solver(feasible_problem(9)).solve()
     assert type(solution) is LazySolution

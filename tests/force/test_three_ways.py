@@ -82,9 +82,10 @@ def test_python_command_and_service_report_the_same_error(fault, record, session
     with pytest.raises(InvalidInput) as caught:
         ForceProblem.from_dict(record)
     text = json.dumps(record)
-    (tmp_path / "bad.json").write_text(text)
-    assert main(["solve", str(tmp_path / "bad.json")]) == 1
-    assert capsys.readouterr().err.strip() == f"Error: {caught.value}"
+    path = tmp_path / "bad.json"
+    path.write_text(text)
+    assert main(["solve", str(path)]) == 1
+    assert capsys.readouterr().err.strip() == f"Error: {path}: {caught.value}"
     answered, error = get_solution(session, text.encode())
     assert not answered
     assert (error["error"], error["field"], error["message"]) == ("invalid", fault.field, str(caught.value))

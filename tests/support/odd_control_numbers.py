@@ -47,14 +47,13 @@ def call_step(native, N: int, n: int, surface: tuple) -> bool:
         "posture_stiffness",
         "posture_damping",
         "rank_tolerance",
-        "compliance",
-        "compliance_start",
+        "spin_damping",
+        "spin_damping_start",
         "period",
         "creep_decay",
         "creep_limit",
     ]
     arrays = {"kp": (6,), "kd": (6,), "ki": (6,), "integral_limits": (2,), "gravity_H": (3,), "inertia": (3, 3), "p_OM": (3,)}
-    arrays |= {"mobility": (6, 6)}
     arrays |= {"radii": (N,), "p_OC": (N, 3), "R_OC": (N, 3, 3), "q": (n,), "max_posture_pull": (n,), "p_LF": (N, 3)}
     arrays |= {"R_LF": (N, 3, 3), "T": (m, n), "torque_limits": (2, n), "saturation_limits": (2, n), "q_limits": (2, n)}
     step = native.ControlStep(

@@ -35,7 +35,12 @@ def regrasp(
         str | None, typer.Option(metavar="RX,RY,RZ", help="And to this rotation vector in the base frame, rad, on any path.")
     ] = None,
     friction_error: Annotated[
-        float, typer.Option(metavar="PART", help="Part by which the friction may be less; forces hold for all of the interval.")
+        float,
+        typer.Option(
+            "--friction-uncertainty",
+            metavar="PART",
+            help="Part by which the friction may be less; forces hold for all of the interval.",
+        ),
     ] = 0.0,
     slip_margin: Annotated[float, typer.Option(metavar="N", help="Slip margin that the forces keep, N.")] = 0.3,
     budget: Annotated[float, typer.Option(metavar="S", help="Time after which the search ends, s.")] = 120.0,

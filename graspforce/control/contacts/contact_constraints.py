@@ -8,8 +8,8 @@ A finger with three joints cannot follow a spin. Its soft contact then constrain
 `graspforce.control.contacts.mobility` finds such constraints in the left null space of A, as for every finger with too few
 joints.
 
-Fingers with four joints can follow spins, but near some postures with large joint motions only. There the object yields to
-its pads (`graspforce.control.contacts.mobility`). Pads that have spun in spite of that turn back
+Fingers with four joints can follow spins, but not near all postures. Their spin rows are damped there: the pads twist or slide
+a little about their normals instead. Afterwards they turn back, so that the fingers return to their posture
 (`graspforce.control.contacts.pad_spin`).
 """
 
@@ -24,6 +24,7 @@ from graspforce.contact.contact import ContactSet
 from graspforce.contact.kinematics import RollingContacts
 from graspforce.core.arrays import Array
 
+SPIN_DAMPING = 0.014  # m/rad: λ₀ of the spin rows
 SPIN_ARM = 0.03  # m: converts a spin rate to the speed at this distance from n, the radius of a small object
 
 
@@ -35,13 +36,13 @@ class ContactConstraints:
         point_rows: (3 N,) mask of the constrained components (t₁, t₂, n) of the point velocities; None if all are.
         spin_contacts: indices of the contacts whose spin is constrained; None if there are none.
         contact_index: (r,) contact of each row, spins last.
-        compliance: ℓ₀ of an object that yields to soft pads near a loss of rank, m/rad; 0 for others.
+        spin_damping: λ₀, damping of the spin rows, m/rad; see `graspforce.control.contacts.mobility`.
     """
 
     point_rows: npt.NDArray[np.bool_] | None
     spin_contacts: npt.NDArray[np.intp] | None
     contact_index: npt.NDArray[np.intp]
-    compliance: float = 0.0
+    spin_damping: float = 0.0
 
     @classmethod
     def from_contacts(cls, contacts: ContactSet) -> ContactConstraints:
@@ -89,6 +90,11 @@ class ContactConstraints:
     def row_units(self) -> Array:
         """(r,) contact force or moment per constraint force of each row: 1, and 30 mm for spins."""
         return np.repeat([1.0, SPIN_ARM], [len(self.contact_index) - self.spin_count, self.spin_count])
+
+    @property
+    def damping(self) -> Array:
+        """(r,) damping of each row, m/rad."""
+        return np.repeat([0.0, self.spin_damping], [len(self.contact_index) - self.spin_count, self.spin_count])
 
     def is_spin_row(self, row: int) -> bool:
         """Return whether a row constrains a spin.

@@ -157,7 +157,7 @@ static void gf_posture_acceleration(const gf_controlled_grasp *grasp, const gf_s
 size_t gf_targets_work_size(const gf_controlled_grasp *grasp)
 {
     const size_t n = (size_t)grasp->motor_count, r = (size_t)grasp->constraint_count, joint_count = (size_t)grasp->joint_count;
-    return joint_count + 6 * (n + 2) + r * (n + 7) + r * (r + 7) + n;
+    return joint_count + 6 * (n + 2) + r * (n + 7) + r * (r + 1) + n;
 }
 
 int gf_compute_targets(const gf_controlled_grasp *grasp, const gf_step_inputs *inputs, double *work,
@@ -165,7 +165,7 @@ int gf_compute_targets(const gf_controlled_grasp *grasp, const gf_step_inputs *i
 {
     const int n = grasp->motor_count, r = grasp->constraint_count, *rows = grasp->constraint_rows;
     double *joint_rates = work, *rates = joint_rates + grasp->joint_count, *A = rates + 6 * (n + 2), *B = A + r * n;
-    double *beta = B + 6 * r, *K = beta + r, *posture = K + r * (r + 7);
+    double *beta = B + 6 * r, *K = beta + r, *posture = K + r * (r + 1);
     const gf_contacts *contacts = &targets->contacts;
     gf_object_acceleration(grasp, inputs, targets);
     gf_compute_contacts(grasp, inputs, joint_rates, rates, contacts);
@@ -174,16 +174,16 @@ int gf_compute_targets(const gf_controlled_grasp *grasp, const gf_step_inputs *i
     gf_gather_rows(r, rows, 6, contacts->B, contacts->spin_B, SPIN_ARM, B);
     gf_gather_rows(r, rows, 1, contacts->beta, contacts->spin_beta, SPIN_ARM, beta);
     gf_posture_acceleration(grasp, inputs, posture);
-    for (int i = 0; i < r && inputs->spin_acceleration != NULL; i++)
-        if (rows[i] % 4 == SPIN) beta[i] += SPIN_ARM * inputs->spin_acceleration[rows[i] / 4];
-    const gf_constraints constraints = {r, n, A, B, beta, grasp->mobility, grasp->compliance, grasp->compliance_start};
-    double *acceleration = targets->acceleration_O;
+    int spin_count = 0;
+    for (int i = 0; i < r; i++) {
+        if (rows[i] % 4 != SPIN) continue;
+        spin_count++;
+        if (inputs->spin_acceleration != NULL) beta[i] += SPIN_ARM * inputs->spin_acceleration[rows[i] / 4];
+    }
+    const gf_constraints constraints = {r, n, A, B, beta, spin_count, grasp->spin_damping, grasp->spin_damping_start};
+    const double *acceleration = targets->acceleration_O;
     if (!gf_joint_accelerations(&constraints, acceleration, posture, grasp->rank_tolerance, K, targets->joint_acceleration))
         return 0;
-    if (grasp->compliance > 0.0) { /* the object may yield */
-        gf_multiply(inputs->R_HO, acceleration, targets->acceleration_H);
-        gf_multiply(inputs->R_HO, acceleration + 3, targets->acceleration_H + 3);
-    }
 
     gf_vector3 p_ddot, omega, g;
     gf_multiply_transposed(inputs->R_HO, grasp->gravity_H, g);

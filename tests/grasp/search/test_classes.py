@@ -13,6 +13,7 @@ from graspforce.core.errors import InvalidInput
 from graspforce.geometry import Box, Cylinder, Solid, Sphere
 from graspforce.grasp import Body, Grasp, GraspClass, GraspRank, GraspSearchOptions, find_grasp, find_grasps, measure_grasp
 from graspforce.grasp.collision.scene_collision import SceneCollision
+from graspforce.grasp.search.grasp_class import ENVELOPING_CLASSES
 from graspforce.hand.hand import Hand
 
 BAR = Cylinder(0.02, 0.08)
@@ -31,7 +32,7 @@ def normals_H(grasp: Grasp) -> dict[str, np.ndarray]:
     return {name: grasp.R_HO @ grasp.contacts.R_OC[i, :, 2] for i, name in enumerate(grasp.fingers)}
 
 
-CLASSES = [each.value for each in GraspClass]
+CLASSES = [each.value for each in GraspClass if each.value not in ENVELOPING_CLASSES]
 SIZES = {"pinch": 2, "tip-pinch": 2, "adduction-grip": 2, "quadpod": 4, "parallel-extension": 4}
 
 

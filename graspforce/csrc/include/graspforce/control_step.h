@@ -38,7 +38,7 @@ extern "C" {
  *
  * posture_stiffness, posture_damping  of the joints towards their posture, 1/s² and 1/s
  * rank_tolerance     see gf_joint_accelerations()
- * compliance, compliance_start  ℓ₀ and σ₀ of soft pads, see gf_joint_accelerations(), m/rad; ℓ₀ = 0 for other contacts
+ * spin_damping, spin_damping_start  λ₀ and σ₀ of the spin rows, see gf_joint_accelerations(), m/rad
  * period             time between two steps, s
  * creep_decay        factor of the sliding after one period
  * creep_limit        sliding distance from which a fingertip slips, m
@@ -48,8 +48,8 @@ extern "C" {
     FIELD(posture_stiffness)    \
     FIELD(posture_damping)      \
     FIELD(rank_tolerance)       \
-    FIELD(compliance)           \
-    FIELD(compliance_start)     \
+    FIELD(spin_damping)         \
+    FIELD(spin_damping_start)   \
     FIELD(period)               \
     FIELD(creep_decay)          \
     FIELD(creep_limit)          \
@@ -63,7 +63,6 @@ extern "C" {
  * gravity_H          acceleration of gravity in H, m/s²
  * inertia            of the object about its centre of mass, in O, kg·m²
  * p_OM               centre of mass in O, m
- * mobility           N of the object, see gf_joint_accelerations()
  * radii              of the fingertips, m; 0 for a tip that touches with its origin
  * p_OC, R_OC         contact points in O, m, and contact frames at the start of the grasp
  * q                  posture of the grasp, rad
@@ -81,7 +80,6 @@ extern "C" {
     FIELD(gravity_H, 3)                      \
     FIELD(inertia, 3, 3)                     \
     FIELD(p_OM, 3)                           \
-    FIELD(mobility, 6, 6)                    \
     FIELD(radii, contact_count)              \
     FIELD(p_OC, contact_count, 3)            \
     FIELD(R_OC, contact_count, 3, 3)         \
