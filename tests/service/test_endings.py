@@ -112,7 +112,8 @@ def test_client_that_does_not_read_does_not_prevent_the_end():
     script = (
         "import os, signal, sys; sys.path.append('tests'); from support.servers import plain_session\n"
         "s = plain_session(sys.argv[1])\n"
-        "c = [s.get('graspforce/1/hands/four_finger', timeout=60.0) for _ in range(2000)]; os.kill(os.getpid(), signal.SIGSTOP)"
+        "c = [s.get('graspforce/1/hands/four_finger', timeout=60.0) for _ in range(2000)]; c[0].recv()\n"
+        "os.kill(os.getpid(), signal.SIGSTOP)  # after the first reply, so that the requests have left"
     )
     with (
         serve_command() as (child, address),
