@@ -12,7 +12,7 @@ from zenoh_ros2_sdk.session import ZenohSession
 
 from graspforce.service.ros2 import interfaces
 from graspforce.service.zenoh_session import build_configuration, find_addresses
-from support.servers import ANY_LOCAL_PORT
+from support.servers import ANY_LOCAL_PORT, wait_until
 
 HOST = "127.0.0.1"
 
@@ -58,9 +58,11 @@ class Peer:
         return self._made(zenoh_ros2_sdk.ROS2Subscriber, topic, type_name, **options)
 
     def client(self, service: str, type_name: str, request: str, response: str) -> zenoh_ros2_sdk.ROS2ServiceClient:
-        """Return a client of a service."""
+        """Return a client of a service, once the router has told it of the server: a call before that gets no answer."""
         options = {"request_definition": request, "response_definition": response, "timeout": 20.0}
-        return self._made(zenoh_ros2_sdk.ROS2ServiceClient, service, type_name, **options)
+        client = self._made(zenoh_ros2_sdk.ROS2ServiceClient, service, type_name, **options)
+        wait_until(lambda: client.querier.matching_status.matching)
+        return client
 
     def _made(self, kind, name: str, type_name: str, **options):
         """Return a part of the library's node, which `close` will close."""

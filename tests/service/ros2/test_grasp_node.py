@@ -97,18 +97,18 @@ def network():
 
 def test_a_robot_opens_moves_and_releases_a_grasp(network):
     robot, control, joined = network
-    topics = dict(get_topic_names_and_types(0, HOST, joined.port))
-    for topic, kind in (
-        (f"{NODE}/commands", messages.NUMBERS),
-        (f"{NODE}/contacts/finger_1", messages.WRENCH),
-        (f"{NODE}/planned_contacts/finger_1", messages.WRENCH),
-        (f"{NODE}/joint_trajectory", messages.TRAJECTORY),
-        (f"{NODE}/object_pose", messages.POSE),
-        ("/diagnostics", messages.DIAGNOSTICS),
-    ):
-        assert topics[topic] == [kind]
-    services = dict(get_service_names_and_types(0, HOST, joined.port))
+    expected = {
+        f"{NODE}/commands": [messages.NUMBERS],
+        f"{NODE}/contacts/finger_1": [messages.WRENCH],
+        f"{NODE}/planned_contacts/finger_1": [messages.WRENCH],
+        f"{NODE}/joint_trajectory": [messages.TRAJECTORY],
+        f"{NODE}/object_pose": [messages.POSE],
+        "/diagnostics": [messages.DIAGNOSTICS],
+    }
+    wait_until(lambda: expected.items() <= dict(get_topic_names_and_types(0, HOST, joined.port)).items())
     own = {f"{NODE}/{name}" for name in ("open", "release", "plan")}
+    wait_until(lambda: own <= dict(get_service_names_and_types(0, HOST, joined.port)).keys())
+    services = dict(get_service_names_and_types(0, HOST, joined.port))
     assert {name for name in services if "_action" not in name and "parameter" not in name} == own
     commands = robot.listen(f"{NODE}/commands", messages.NUMBERS)
     contacts = robot.listen(f"{NODE}/planned_contacts/finger_1", messages.WRENCH)
