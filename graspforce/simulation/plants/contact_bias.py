@@ -18,29 +18,36 @@ import mujoco
 import numpy as np
 
 from graspforce.core.arrays import Array
+from graspforce.simulation.plants.surface_contacts import SurfaceContacts, begin_step, update_positions
 
 
-def step_engine(model: mujoco.MjModel, data: mujoco.MjData, next_data: mujoco.MjData) -> None:
+def step_engine(
+    model: mujoco.MjModel, data: mujoco.MjData, next_data: mujoco.MjData, surface: SurfaceContacts | None = None
+) -> None:
     """Advance the engine by one step, with the bias acceleration of its contacts.
 
     Args:
         model: of MuJoCo.
         data: its data, with the forces of the step.
         next_data: scratch data of the same model; overwritten.
+        surface: surface of a mesh; None for shapes that the engine knows.
     """
-    mujoco.mj_step1(model, data)
+    begin_step(model, data, surface)
     if data.ncon:
-        data.efc_aref[:] -= contact_bias_acceleration(model, data, next_data)
+        data.efc_aref[:] -= contact_bias_acceleration(model, data, next_data, surface)
     mujoco.mj_step2(model, data)
 
 
-def contact_bias_acceleration(model: mujoco.MjModel, data: mujoco.MjData, next_data: mujoco.MjData) -> Array:
+def contact_bias_acceleration(
+    model: mujoco.MjModel, data: mujoco.MjData, next_data: mujoco.MjData, surface: SurfaceContacts | None = None
+) -> Array:
     """Compute J̇ v of each constraint row that belongs to a contact; other rows get zero.
 
     Args:
         model: of MuJoCo.
         data: its data, with contacts and velocities as `mj_step1` leaves them.
         next_data: scratch data of the same model; overwritten.
+        surface: as in `step_engine`.
 
     Returns:
         (nefc,) m/s²; rad/s² in rows of rotation.
@@ -48,7 +55,7 @@ def contact_bias_acceleration(model: mujoco.MjModel, data: mujoco.MjData, next_d
     dt = model.opt.timestep
     next_data.qpos[:] = data.qpos
     mujoco.mj_integratePos(model, next_data.qpos, data.qvel, dt)
-    mujoco.mj_fwdPosition(model, next_data)
+    update_positions(model, next_data, surface)
     next_velocity = np.zeros(next_data.nefc)
     mujoco.mj_mulJacVec(model, next_data, next_velocity, data.qvel)
     next_contacts, bias = _single_contacts(next_data), np.zeros(data.nefc)

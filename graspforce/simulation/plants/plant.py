@@ -32,6 +32,7 @@ from graspforce.simulation.plants.link_geoms import collision_names, read_collis
 from graspforce.simulation.plants.plant_interface import TrueContacts
 from graspforce.simulation.plants.preload import preload_contacts
 from graspforce.simulation.plants.scene import Scene, set_posture
+from graspforce.simulation.plants.surface_contacts import update_forces
 from graspforce.simulation.plants.tendon_parts import Clutches, find_free_differentials
 
 _AT_REST = freeze(np.zeros(6))
@@ -174,7 +175,7 @@ class Plant:
         J = grasp.hand.contact_jacobian(q, grasp.fingers, grasp.contacts, grasp.p_HO, grasp.R_HO)
         tau = grasp.hand.gravity_torque(q, scene.gravity_H) + J.T @ f
         self._apply_torques(tau)
-        mujoco.mj_forward(self.model, self.data)
+        update_forces(self.model, self.data, scene.surface)
         self._true_contacts = self._read_contacts(tau)
         return self.state()
 
@@ -202,7 +203,7 @@ class Plant:
         for disturbance in self._disturbances:
             applied_torque = disturbance.apply(self, self.t, applied_torque)
         self._apply_torques(applied_torque)
-        step_engine(self.model, data, self._next_data)
+        step_engine(self.model, data, self._next_data, self.scene.surface)
         if self.clutches.stops:
             self.clutches.switch(self.model, data, self._motor_motion()[0], applied_torque)
         self._true_contacts = self._read_contacts(applied_torque)
@@ -228,7 +229,7 @@ class Plant:
         mujoco.mju_mat2Quat(quaternion := np.zeros(4), np.ravel(arrays.check_rotation(R_HO, "R_HO")))
         data.qpos[a + 3 : a + 7] = quaternion
         data.qfrc_applied[:] = 0.0
-        mujoco.mj_forward(self.model, data)
+        update_forces(self.model, data, scene.surface)
         self._true_contacts = self._read_contacts(np.zeros(n))
         return self.state()
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from graspforce.core.arrays import Array
 from graspforce.simulation.plants.scene import Scene, set_posture
+from graspforce.simulation.plants.surface_contacts import update_forces
 
 _MAX_ITERATIONS = 12  # of Newton's method; it needs about five
 _DEPTH_TOLERANCE = 1e-10  # m; one newton penetrates 20 µm
@@ -42,17 +43,23 @@ def preload_contacts(scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, f
     q, v = np.array(grasp.q), np.zeros(grasp.hand.n)
     for _ in range(_MAX_ITERATIONS):
         set_posture(scene, data, q, v)
-        mujoco.mj_forward(model, data)
+        update_forces(model, data, scene.surface)
         compliance = _contact_compliance(scene, data)
-        distance = np.array(
-            [mujoco.mj_geomDistance(model, data, tip, scene.object_geom, 2.0 * _MAX_DISTANCE, None) for tip in scene.tip_geoms]
-        )
+        distance = _tip_distances(scene, model, data)
         target_depth = np.where(np.isnan(compliance), _INITIAL_DEPTH, compliance * f_normal)  # m
         depth_error = np.where(distance < _MAX_DISTANCE, target_depth + distance, 0.0)
         if np.abs(depth_error).max() < _DEPTH_TOLERANCE:
             break
         q = q + inverse @ depth_error
     return q
+
+
+def _tip_distances(scene: Scene, model: mujoco.MjModel, data: mujoco.MjData) -> Array:
+    """Return the distance of each fingertip from the object, (N,) m; negative inside."""
+    if scene.surface is not None:
+        return scene.surface.distances(model, data)
+    furthest = 2.0 * _MAX_DISTANCE
+    return np.array([mujoco.mj_geomDistance(model, data, tip, scene.object_geom, furthest, None) for tip in scene.tip_geoms])
 
 
 def _contact_compliance(scene: Scene, data: mujoco.MjData) -> Array:

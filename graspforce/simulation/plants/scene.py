@@ -3,7 +3,8 @@
 The world frame is H: the hand's base is fixed at its origin, and gravity is given in H. Each link of the kinematic tree is a
 body with the same inertia. A dependent joint of a coupling follows its leading joint by an equality constraint. A locked joint
 is a fixed transform. Fingertips are spheres or convex hulls of meshes; they collide with the object. The collision shapes of
-the links and the palm collide with the object, the floor and one another; see `link_geoms`.
+the links and the palm collide with the object, the floor and one another; see `link_geoms`. Of an object that is a mesh,
+spherical fingertips touch the smooth surface, see `surface_contacts`; links and floor touch its convex hull.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ import numpy.typing as npt
 from graspforce.contact.contact import ContactModel
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
-from graspforce.core.errors import ModelError
+from graspforce.core.errors import InvalidInput, ModelError
+from graspforce.geometry import TriangleMesh
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
@@ -38,6 +40,7 @@ from graspforce.simulation.plants.scene_parts import (
     moving_joints,
     set_engine_options,
 )
+from graspforce.simulation.plants.surface_contacts import HULL_MARGIN, SurfaceContacts
 from graspforce.simulation.plants.tendon_parts import motor_map
 
 TipGeometry = Literal["ball", "mesh"]
@@ -73,6 +76,7 @@ class Scene:
         tip_geoms: indices of the fingertips' geoms, in the same order.
         contact_pairs: indices of the fingertips' contact pairs with the object, in the same order.
         tip_radius: (N,) radii of the fingertips, m.
+        surface: the surface that fingertips touch if the object is a mesh and they are spheres; None otherwise.
     """
 
     grasp: Grasp
@@ -95,6 +99,7 @@ class Scene:
     tip_geoms: tuple[int, ...]
     contact_pairs: tuple[int, ...]
     tip_radius: Array
+    surface: SurfaceContacts | None
 
     def tip_index(self, contact: mujoco.MjContact) -> int | None:
         """Return the index of the grasp's fingertip in a contact; None for other contacts.
@@ -132,11 +137,16 @@ def build_scene(
         directories: directories to search for mesh files, as in `Hand.tip_mesh`.
 
     Raises:
-        InvalidInput: unknown tip geometry; the object has no shape, or one that MuJoCo lacks; a floor without gravity.
+        InvalidInput: unknown tip geometry; the object has no shape, or one that MuJoCo lacks; a mesh that is not convex with
+            fingertips that are meshes; a floor without gravity.
         ModelError: MuJoCo cannot build the hand, its dynamics differ from Pinocchio's, or a mesh is missing.
     """
     fields.check_choice(tip_geometry, "tip_geometry", TIP_GEOMETRIES)
     engine = engine or EngineSettings()
+    shape = (body or grasp.body).shape or grasp.body.shape
+    surface = shape if isinstance(shape, TriangleMesh) and tip_geometry == "ball" else None
+    if isinstance(shape, TriangleMesh) and surface is None and not shape.is_convex:
+        raise InvalidInput("tip_geometry", tip_geometry, '"ball" for a mesh that is not convex: MuJoCo would fill its hollows')
     gravity_H = arrays.check_array(gravity_H, "gravity_H", (3,))
     hand, tree = grasp.hand, grasp.hand.tree()
     radii = _tip_radii(grasp)
@@ -162,13 +172,15 @@ def build_scene(
             add_contact_pair(spec, first, second, ContactModel.POINT, (LINK_FRICTION, 0.0), engine)
     for i, name in enumerate(grasp.fingers):
         mu, gamma = grasp.contacts.mu[i], grasp.contacts.gamma[i]
-        add_contact_pair(spec, f"tip {name}", OBJECT, grasp.contacts.models[i], (mu, gamma), engine)
+        pair = add_contact_pair(spec, f"tip {name}", OBJECT, grasp.contacts.models[i], (mu, gamma), engine)
+        if surface is not None:
+            pair.margin = HULL_MARGIN
     try:
         model = spec.compile()
     except ValueError as error:
         raise ModelError(f"{hand.name}: MuJoCo cannot build it: {error}") from None
 
-    scene = _index_scene(grasp, gravity_H, engine, spec, model)
+    scene = _index_scene(grasp, gravity_H, engine, spec, model, surface)
     check_against_pinocchio(scene)
     return scene
 
@@ -219,12 +231,20 @@ def set_posture(scene: Scene, data: mujoco.MjData, q: Array, v: Array) -> None:
     data.qvel[scene.v_address] = scene.T @ v
 
 
-def _index_scene(grasp: Grasp, gravity_H: Array, engine: EngineSettings, spec: mujoco.MjSpec, model: mujoco.MjModel) -> Scene:
+def _index_scene(
+    grasp: Grasp,
+    gravity_H: Array,
+    engine: EngineSettings,
+    spec: mujoco.MjSpec,
+    model: mujoco.MjModel,
+    surface: TriangleMesh | None,
+) -> Scene:
     """Return the scene of a compiled model, with the indices of its parts."""
     hand, is_moving = grasp.hand, moving_joints(grasp.hand)
     moving = [name for name, moves in zip(hand.full_joints, is_moving, strict=True) if moves]
     joints = [model.joint(name).id for name in moving]
-    free_joint = model.joint(OBJECT).id
+    free_joint, object_geom = model.joint(OBJECT).id, int(model.geom(OBJECT).id)
+    tip_geoms = tuple(int(model.geom(f"tip {name}").id) for name in grasp.fingers)
     return Scene(
         grasp=grasp,
         gravity_H=gravity_H,
@@ -240,12 +260,13 @@ def _index_scene(grasp: Grasp, gravity_H: Array, engine: EngineSettings, spec: m
         object_q_address=int(model.jnt_qposadr[free_joint]),
         object_v_address=int(model.jnt_dofadr[free_joint]),
         object_body=int(model.body(OBJECT).id),
-        object_geom=int(model.geom(OBJECT).id),
+        object_geom=object_geom,
         floor_geom=next((i for i in range(model.ngeom) if model.geom(i).name == FLOOR), None),
         tip_bodies=tuple(int(model.geom(f"tip {name}").bodyid[0]) for name in grasp.fingers),
-        tip_geoms=tuple(int(model.geom(f"tip {name}").id) for name in grasp.fingers),
+        tip_geoms=tip_geoms,
         contact_pairs=tuple(int(model.pair(f"tip {name} on {OBJECT}").id) for name in grasp.fingers),
         tip_radius=freeze(_tip_radii(grasp)),
+        surface=None if surface is None else SurfaceContacts(surface, object_geom, tip_geoms),
     )
 
 

@@ -137,8 +137,6 @@ def add_object(spec: mujoco.MjSpec, body: Body, grasp: Grasp) -> None:
     part.mass, part.ipos, part.fullinertia = body.mass, body.p_OM, _inertia_components(body.inertia)
     part.add_joint(name=OBJECT, type=mujoco.mjtJoint.mjJNT_FREE)
     if isinstance(shape, TriangleMesh):
-        if not shape.is_convex:
-            raise InvalidInput("grasp.body.shape", "a mesh that is not convex", "a convex mesh: MuJoCo would fill its hollows")
         spec.add_mesh(name=OBJECT, uservert=shape.vertices.ravel().tolist(), userface=shape.faces.ravel().tolist())
         geom = part.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=OBJECT)
     else:
@@ -192,8 +190,8 @@ def add_floor(spec: mujoco.MjSpec, grasp: Grasp, gravity_H: Array, depth: float,
 
 def add_contact_pair(
     spec: mujoco.MjSpec, first: str, second: str, model: ContactModel, friction: tuple[float, float], engine: EngineSettings
-) -> None:
-    """Add a pair of geoms that collide, with the contact model's force components.
+) -> mujoco.MjsPair:
+    """Add a pair of geoms that collide, with the contact model's force components, and return it.
 
     Args:
         spec: specification of the model.
@@ -208,6 +206,7 @@ def add_contact_pair(
     pair.condim = _CONDIM[model]
     pair.friction = [mu, mu, gamma, 0.0, 0.0]
     pair.solref, pair.solimp = engine.solref, [*engine.solimp, 0.5, 2.0]
+    return pair
 
 
 def _inertia_components(inertia: Array) -> list[float]:
