@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from graspforce.contact.contact import Contact, ContactModel, ContactSet
-from graspforce.core import arrays, fields
+from graspforce.core import fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.force.problem_options import Objective
@@ -27,10 +27,10 @@ from graspforce.geometry import Solid
 from graspforce.grasp.body import Body
 from graspforce.grasp.link_grasp import LinkGrasp
 from graspforce.grasp.search.batch_kinematics import BatchKinematics, palm_normal
-from graspforce.grasp.search.checks import LoadRequirements, closure_quality, load_cases
+from graspforce.grasp.search.checks import LoadRequirements, closure_quality
 from graspforce.grasp.search.closing import GAP, ClosingFinger, TouchScene
 from graspforce.grasp.search.grasp_class import ENVELOPING_CLASSES, GraspClass
-from graspforce.grasp.search.options import GraspSearchOptions, GraspSearchProgress
+from graspforce.grasp.search.options import GraspSearchOptions, GraspSearchProgress, check_search
 from graspforce.grasp.search.sampling import random_axes, search_limits
 from graspforce.hand.hand import Hand
 
@@ -85,20 +85,9 @@ def find_link_grasp(
     """
     options = GraspSearchOptions() if options is None else options
     chosen = GraspClass(fields.check_choice(getattr(grasp_class, "value", grasp_class), "grasp_class", ENVELOPING_CLASSES))
-    if not isinstance(body.shape, Solid):
-        given = None if body.shape is None else type(body.shape).__name__
-        raise InvalidInput("body.shape", given, "a sphere, cylinder, box, superquadric or mesh")
-    load = LoadRequirements(
-        hand=hand,
-        body=body,
-        friction=arrays.check_number(friction, "friction", above=0.0),
-        max_normal=options.max_normal,
-        gravities=load_cases(gravity_H),
-        slip_margin=options.slip_margin,
-        pad_friction=options.pad_friction,
-    )
+    shape, load = check_search(hand, body, friction, gravity_H, options)
     seed = fields.check_integer(seed, "seed", minimum=0, maximum=2**32 - 1)
-    sampler = _Sampler(hand, body.shape, chosen, options)
+    sampler = _Sampler(hand, shape, chosen, options)
     best, start, found = _Checked(None, "no posture touches it", 0.0), time.perf_counter(), 0
     rng = np.random.default_rng(seed)
     for k in range(_CANDIDATES):
@@ -112,7 +101,7 @@ def find_link_grasp(
             break
     if best.grasp is None or best.fault:
         allowed = f"an object that {hand.name} can hold in a {chosen.value} grasp; best candidate: {best.fault}"
-        raise InvalidInput("body", type(body.shape).__name__, allowed)
+        raise InvalidInput("body", type(shape).__name__, allowed)
     return best.grasp
 
 

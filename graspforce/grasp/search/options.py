@@ -12,7 +12,11 @@ from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
 from graspforce.core.records import set_fields
+from graspforce.geometry import Solid
+from graspforce.grasp.body import Body
+from graspforce.grasp.search.checks import LoadRequirements, load_cases
 from graspforce.grasp.search.grasp_class import GraspClass
+from graspforce.hand.hand import Hand
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +98,35 @@ class GraspSearchOptions:
             pad_friction=None if gamma is None else arrays.check_number(gamma, "pad_friction", above=0.0),
             budget=None if self.budget is None else arrays.check_number(self.budget, "budget", above=0.0),
         )
+
+
+def check_search(
+    hand: Hand, body: Body, friction: float, gravity_H: npt.ArrayLike | None, options: GraspSearchOptions
+) -> tuple[Solid, LoadRequirements]:
+    """Return the object's surface and the loads of a search, from checked arguments.
+
+    Args:
+        hand: the hand.
+        body: the object.
+        friction: μ of all contacts.
+        gravity_H: as in `load_cases`.
+        options: of these count `max_normal`, `slip_margin` and `pad_friction`.
+
+    Raises:
+        InvalidInput: the object is no solid, or a number is out of range.
+    """
+    if not isinstance(body.shape, Solid):
+        given = None if body.shape is None else type(body.shape).__name__
+        raise InvalidInput("body.shape", given, "a sphere, cylinder, box, superquadric or mesh")
+    return body.shape, LoadRequirements(
+        hand=hand,
+        body=body,
+        friction=arrays.check_number(friction, "friction", above=0.0),
+        max_normal=options.max_normal,
+        gravities=load_cases(gravity_H),
+        slip_margin=options.slip_margin,
+        pad_friction=options.pad_friction,
+    )
 
 
 def _unit(value: npt.ArrayLike | None, field: str) -> Array | None:

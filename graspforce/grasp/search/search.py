@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from graspforce.core import arrays, fields
+from graspforce.core import fields
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
 from graspforce.geometry import Solid
@@ -19,11 +19,11 @@ from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search.batch_kinematics import BatchKinematics, palm_normal
 from graspforce.grasp.search.candidates import Candidates, GeometryRequirements
-from graspforce.grasp.search.checks import UNMOVABLE_PENALTY, CandidateResult, LoadRequirements, check_candidate, load_cases
+from graspforce.grasp.search.checks import UNMOVABLE_PENALTY, CandidateResult, LoadRequirements, check_candidate
 from graspforce.grasp.search.common_joints import without_common_joints
 from graspforce.grasp.search.goal import SearchGoal, hull_points
 from graspforce.grasp.search.grasp_class import GraspClass, class_finger_sets, opposing_fingers
-from graspforce.grasp.search.options import GraspSearchOptions, GraspSearchProgress
+from graspforce.grasp.search.options import GraspSearchOptions, GraspSearchProgress, check_search
 from graspforce.grasp.search.prior import PosturePrior
 from graspforce.grasp.search.refinement import refine, refine_in_prior
 from graspforce.grasp.search.sampling import sample_candidates
@@ -97,20 +97,9 @@ def find_grasp(
         UnknownName: the hand has no finger of that name.
     """
     options = GraspSearchOptions() if options is None else options
-    if not isinstance(body.shape, Solid):
-        given = None if body.shape is None else type(body.shape).__name__
-        raise InvalidInput("body.shape", given, "a sphere, cylinder, box, superquadric or mesh")
-    load = LoadRequirements(
-        hand=hand,
-        body=body,
-        friction=arrays.check_number(friction, "friction", above=0.0),
-        max_normal=options.max_normal,
-        gravities=load_cases(gravity_H),
-        slip_margin=options.slip_margin,
-        pad_friction=options.pad_friction,
-    )
+    shape, load = check_search(hand, body, friction, gravity_H, options)
     seed = fields.check_integer(seed, "seed", minimum=0, maximum=2**32 - 1)
-    finger_sets = _finger_sets(hand, fingers, body.shape, options)
+    finger_sets = _finger_sets(hand, fingers, shape, options)
     anyone = "both fingers" if len(hand.fingers) == 2 else "any three or four fingers"
     if isinstance(options.grasp_class, GraspClass):
         anyone = f"fingers in a {options.grasp_class.value}"
@@ -126,11 +115,11 @@ def find_grasp(
     searches: list[tuple[float, int, PosturePrior | None]] = [(travel, descents, None) for travel, descents in attempts]
     if prior is not None:
         searches.insert(0, (attempts[0][0], _PRIOR_DESCENTS, prior.for_hand(hand)))
-    hull = hull_points(body.shape)
+    hull = hull_points(shape)
     watch, side = _SearchWatch(options), _side_conditions(hull, options)
     for travel, descents, each_prior in searches:
         requirements = GeometryRequirements(options.clearance, options.edge_ratio, palm_normal_H, p_HP, travel, side)
-        goals = ([SearchGoal(hand, kinematics, body.shape, each, requirements, hull) for each in sets] for sets in finger_sets)
+        goals = ([SearchGoal(hand, kinematics, shape, each, requirements, hull) for each in sets] for sets in finger_sets)
         refine_set = _refine_best if each_prior is None else partial(_refine_from_prior, prior=each_prior)
         best = _best_candidate(goals, load, np.random.default_rng(seed), descents, watch, refine_set)
         is_unmovable = best.grasp is not None and 0.0 < best.penalty <= UNMOVABLE_PENALTY
@@ -142,7 +131,7 @@ def find_grasp(
         allowed = f"a distance by which {who} can move the object; best candidate: {best.fault}"
         raise InvalidInput("travel", options.travel, allowed)
     allowed = f"an object that {who} can hold; best candidate: {best.fault}"
-    raise InvalidInput("body", type(body.shape).__name__, allowed)
+    raise InvalidInput("body", type(shape).__name__, allowed)
 
 
 def _best_candidate(

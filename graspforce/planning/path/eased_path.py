@@ -26,6 +26,11 @@ def ease(sigma: Array) -> tuple[Array, Array, Array]:
     return h, slope, 60.0 * sigma * (1.0 - sigma) * (1.0 - 2.0 * sigma)
 
 
+def _eased_derivatives(slope: Array, bend: Array, x_s: Array, x_ss: Array) -> tuple[Array, Array]:
+    """Return x_σ and x_σσ (K, m) from h' and h'' (K,), x' and x'' (K, m)."""
+    return slope[:, None] * x_s, bend[:, None] * x_s + slope[:, None] ** 2 * x_ss
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class EasedObjectPath:
     """A path of an object as a function of σ.
@@ -44,9 +49,9 @@ class EasedObjectPath:
         """
         h, slope, bend = ease(s)
         at = self.path.points(h)
-        p_s, omega = (slope[:, None] * x for x in (at.p_s, at.omega))
-        p_ss = bend[:, None] * at.p_s + slope[:, None] ** 2 * at.p_ss
-        return PosePoints(at.p, p_s, p_ss, at.R, omega, bend[:, None] * at.omega + slope[:, None] ** 2 * at.omega_s)
+        p = _eased_derivatives(slope, bend, at.p_s, at.p_ss)
+        omega = _eased_derivatives(slope, bend, at.omega, at.omega_s)
+        return PosePoints(at.p, *p, at.R, *omega)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -67,7 +72,7 @@ class EasedJointPath:
         """
         h, slope, bend = ease(s)
         at = self.path.points(h)
-        return JointPoints(at.q, slope[:, None] * at.q_s, bend[:, None] * at.q_s + slope[:, None] ** 2 * at.q_ss)
+        return JointPoints(at.q, *_eased_derivatives(slope, bend, at.q_s, at.q_ss))
 
 
 def even_knots(intervals: int) -> Array:
