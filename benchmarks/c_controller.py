@@ -181,7 +181,7 @@ def main() -> None:
         times, report = measure(folder / "timed", library, named_grasp("allegro_right sphere"), options.timed_steps)
         compared = compare(folder, library, options.steps)
         single = compare_single(folder, options.steps)
-        counts = count_on_microcontroller(folder, options.counted_steps)
+        counts = count_on_microcontroller(folder / "cortex_m7", options.counted_steps)
     preempted = np.count_nonzero(times[:, 2])
     ratio = np.median(times[:, 0]) / np.median(times[:, 1])
     lines = [
