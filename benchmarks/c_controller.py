@@ -144,23 +144,34 @@ def compare_single(folder: Path, steps: int) -> list[tuple[str, ...]]:
     return rows
 
 
-def measure(folder: Path, library: list[Path], grasp: Grasp, steps: int) -> tuple[np.ndarray, str]:
-    """Return the times of each step and of its kernel calls, s, preemptions, (M, 3), and what the program reports."""
+def measure(folder: Path, library: list[Path], grasp: Grasp, steps: int, runs: int) -> tuple[np.ndarray, str]:
+    """Return what each run gives for each step, (runs, M, 4), and what the program reports.
+
+    The columns are the times of the step, of its kernel calls, and of fixed arithmetic, s, and the number of preemptions.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     _, source, _, hand_source = write_controller(grasp, folder)
     include = [f"-I{SOURCES / 'include'}", f"-I{SOURCES}", f"-I{folder}"]
     sources = [PROGRAM, source, hand_source, *(path for path in library if path.stem != "controller")]
     command = [str(COMPILER), "-std=c11", *FLAGS, *include, *map(str, sources), "-lm", "-o", str(folder / "time")]
     subprocess.run(command, check=True)
-    command = [str(folder / "time"), str(steps)]
-    result = subprocess.run(command, input=moving_records(grasp, steps).tobytes(), capture_output=True, check=True)
-    return np.frombuffer(result.stdout).reshape(-1, 3)[steps // 10 :] * [1e-9, 1e-9, 1.0], result.stderr.decode().strip()
+    command, records = [str(folder / "time"), str(steps)], moving_records(grasp, steps).tobytes()
+    results = [subprocess.run(command, input=records, capture_output=True, check=True) for _ in range(runs)]
+    times = np.array([np.frombuffer(result.stdout).reshape(-1, 4)[steps // 10 :] for result in results])
+    return times * [1e-9, 1e-9, 1e-9, 1.0], results[-1].stderr.decode().strip()
 
 
 def time_rows(times: np.ndarray) -> list[tuple[str, ...]]:
-    """Return a row for the step, the kernel, and the rest of the step."""
-    parts = {"step": times[:, 0], "force kernel": times[:, 1], "rest of the step": times[:, 0] - times[:, 1]}
-    parts["step, not preempted"] = times[times[:, 2] == 0.0, 0]
+    """Return a row for the step, the kernel, the rest of the step, the same step in all runs, and fixed arithmetic."""
+    step, kernel, arithmetic = (times[..., k] for k in range(3))
+    parts = {
+        "step": step,
+        "force kernel": kernel,
+        "rest of the step": step - kernel,
+        "step, median of the runs": np.median(step, axis=0),
+        "fixed arithmetic": arithmetic,
+        "fixed arithmetic, median of the runs": np.median(arithmetic, axis=0),
+    }
     shares = (0.1, 0.5, 0.99, 0.9999, 1.0)
     return [(name, *(f"{1e6 * np.quantile(part, share):.1f}" for share in shares)) for name, part in parts.items()]
 
@@ -170,6 +181,7 @@ def main() -> None:
     parser = report_page.parser("c_controller", __doc__)
     parser.add_argument("--steps", type=int, default=10_000, help="random steps of each grasp that are compared with Python")
     parser.add_argument("--timed-steps", type=int, default=50_000, help="steps that are timed; the first tenth does not count")
+    parser.add_argument("--runs", type=int, default=5, help="runs of the timed steps")
     parser.add_argument("--counted-steps", type=int, default=100, help="steps that are counted on an emulated Cortex-M7")
     options = parser.parse_args()
     if COMPILER is None:
@@ -178,12 +190,13 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         library = compile_objects(folder / "library", LIBRARY_SOURCES, *FLAGS)
-        times, report = measure(folder / "timed", library, named_grasp("allegro_right sphere"), options.timed_steps)
+        grasp = named_grasp("allegro_right sphere")
+        times, report = measure(folder / "timed", library, grasp, options.timed_steps, options.runs)
         compared = compare(folder, library, options.steps)
         single = compare_single(folder, options.steps)
         counts = count_on_microcontroller(folder / "cortex_m7", options.counted_steps)
-    preempted = np.count_nonzero(times[:, 2])
-    ratio = np.median(times[:, 0]) / np.median(times[:, 1])
+    preempted, timed = np.count_nonzero(times[..., 3]), times[..., 3].size
+    ratio = np.median(times[..., 0]) / np.median(times[..., 1])
     lines = [
         "# The controller in C",
         "",
@@ -195,7 +208,9 @@ def main() -> None:
         "",
         report_page.table(HEADINGS, time_rows(times)),
         "",
-        f"Other processes took the core during {preempted} of {len(times)} steps. The last row leaves them out.",
+        f"{options.runs} runs of the same steps, one after the other. The slowest steps differ from run to run: the machine",
+        "interrupts, as the fixed arithmetic after each step shows. The median of the runs is the time of a step alone.",
+        f"Other processes took the core during {preempted} of {timed} steps.",
         f"The median step takes {ratio:.2f} × the median time of its force kernel, in the same steps. Status: {report}.",
         "",
         "Largest difference of a torque to Python's `ObjectController`, over random states in sequence:",

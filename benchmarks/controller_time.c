@@ -1,9 +1,11 @@
 /* Time of the whole control step in C and of the force kernel in the same step, for records on standard input.
  *
- * A record is that of examples/c/control_loop.c. The first argument is the number of records. The program writes the time of each
- * step and of its calls of gf_solve(), ns as double, and how often other processes took its core during the step, to standard
- * output, and the counts of each status to standard error. It takes real-time priority and locks its memory where this is
- * permitted. It sleeps for 1 ms after 100 steps: Linux stops processes with real-time priority that use a core all the time. */
+ * A record is that of examples/c/control_loop.c. The first argument is the number of records. For each step, the program writes
+ * four numbers as double to standard output: the time of the step, that of its calls of gf_solve(), and that of a fixed piece of
+ * arithmetic after it, ns; and how often other processes took its core during the step. The arithmetic shows how much the machine
+ * itself interrupts. The counts of each status go to standard error. The program takes real-time priority and locks its memory
+ * where this is permitted. It sleeps for 1 ms after 100 steps: Linux stops processes with real-time priority that use a core all
+ * the time. */
 #define _GNU_SOURCE /* RUSAGE_THREAD */
 #include <sched.h>
 #include <stdio.h>
@@ -13,6 +15,8 @@
 #include <time.h>
 
 #include "graspforce/solve.h"
+
+enum { CHAIN = 10000 }; /* about as long as a step */
 
 static double kernel_time; /* ns, of the present step */
 
@@ -29,6 +33,17 @@ static double preemptions(void)
     struct rusage usage;
     getrusage(RUSAGE_THREAD, &usage);
     return (double)usage.ru_nivcsw;
+}
+
+/* Return the time of a fixed chain of multiplications and additions, ns. */
+static double time_arithmetic(void)
+{
+    static volatile double sink = 0.5;
+    const double start = now();
+    double x = sink;
+    for (int i = 0; i < CHAIN; i++) x = 0.999 * x + 1e-3;
+    sink = x;
+    return now() - start;
 }
 
 /* Take real-time priority and lock all memory. Return whether both are permitted. */
@@ -58,7 +73,7 @@ enum { N = GRASP_MOTOR_COUNT, RECORD = 2 * N + 42 };
 int main(int argc, char **argv)
 {
     const size_t count = argc > 1 ? strtoul(argv[1], NULL, 10) : 0, size = gf_controller_size(&grasp_controller);
-    double *records = malloc(count * RECORD * sizeof(double)), *times = malloc(3 * count * sizeof(double));
+    double *records = malloc(count * RECORD * sizeof(double)), *times = malloc(4 * count * sizeof(double));
     void *memory = malloc(size);
     if (records == NULL || times == NULL || memory == NULL) return 1;
     if (fread(records, RECORD * sizeof(double), count, stdin) != count) return 1;
@@ -83,11 +98,13 @@ int main(int argc, char **argv)
         const double before = preemptions();
         const double start = now();
         counts[gf_controller_step(controller, &inputs, &outputs)]++;
-        times[3 * i] = now() - start;
-        times[3 * i + 1] = kernel_time;
-        times[3 * i + 2] = preemptions() - before;
+        double *const row = times + 4 * i;
+        row[0] = now() - start;
+        row[1] = kernel_time;
+        row[3] = preemptions() - before;
+        row[2] = time_arithmetic();
     }
-    fwrite(times, sizeof(double), 3 * count, stdout);
+    fwrite(times, sizeof(double), 4 * count, stdout);
     for (int status = GF_CONTROL_FULL; status <= GF_CONTROL_INVALID; status++)
         if (counts[status] > 0) fprintf(stderr, "%s %d ", gf_control_status_string(status), counts[status]);
     fprintf(stderr, "of the timed steps; memory: %zu bytes; %s\n", size,

@@ -40,7 +40,7 @@ _EXAMPLE = re.compile(r"<!-- (query|state) (\S+) -->\n```json\n(.*?)```", re.DOT
 _REPLY_TIMEOUT = 120.0  # s
 _MAX_SHOWN = 20  # failures
 _MAX_BYTE_EDITS = 4
-_GRASP_SHARE = 0.03  # of the requests for grasps are sent, because a search takes a second
+_GRASP_PERIOD = 350  # requests, of which one is for a grasp, because a search takes a second
 _KEY_SHARE = 0.05  # of the requests have odd keys
 _BYTE_SHARE = 0.2  # of the mutations change bytes, the others fields
 _VALUES: tuple[Any, ...] = (
@@ -191,8 +191,9 @@ def mutated_payloads(seed: int, count: int) -> Iterator[Payload]:
     """
     chance = random.Random(seed)
     light = [each for each in wire_examples() if not each[1].endswith("/grasp")]
-    for _ in range(count):
-        kind, key, record = chance.choice(wire_examples() if chance.random() < _GRASP_SHARE else light)
+    heavy = [each for each in wire_examples() if each not in light]
+    for k in range(count):
+        kind, key, record = chance.choice(heavy if k % _GRASP_PERIOD == _GRASP_PERIOD - 1 else light)
         codec = chance.choice(CODECS)
         if chance.random() < _KEY_SHARE:
             yield Payload(*_odd_key(chance), _encode(record, codec), codec)

@@ -4,7 +4,8 @@
 
 Any program can do the same: the requests are the JSON blocks that follow a comment with their key. Its first word says how a
 block is sent: as a `query`; as a `state` of a stream, or `signed` with the key of the stream; as the query of a plan that is
-`followed` until its first progress; or as a message that is to `cancel` it.
+`followed` until its first progress; or as a message that is to `cancel` it. A `token` is asked for by a liveliness query, which
+has no payload: the page shows the key of its reply.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ _TITLES = {
     "signed": "Command of a signed state",
     "followed": "First progress of a plan",
     "cancel": "Reply to the query of a cancelled plan",
+    "token": "Liveliness token",
 }
 _DIGITS = 6  # significant digits on the page
 _WIDTH = 120  # columns
@@ -47,11 +49,12 @@ class Exchange(NamedTuple):
     """A request of the page, and its reply.
 
     Attributes:
-        kind: "query"; "state" or "signed" for a message to a stream; "followed" or "cancel" for a plan.
+        kind: "query"; "state" or "signed" for a message to a stream; "followed" or "cancel" for a plan; "token" for a query of
+            liveliness.
         key: key after ``graspforce/1/``.
         request: the record of the page.
         reply: the record of the reply: of a state, the stream's command; of a followed plan, its first progress; of a
-            cancelled one, the reply to its query.
+            cancelled one, the reply to its query; of a token, its key.
         sizes: bytes of request and reply.
     """
 
@@ -64,7 +67,8 @@ class Exchange(NamedTuple):
 
 def page_requests() -> list[tuple[str, str, Any]]:
     """Return kind, key and record of every request on the page."""
-    found = re.findall(r"<!-- (query|state|signed|followed|cancel) (\S+) -->\n```json\n(.*?)```", PAGE.read_text(), flags=re.S)
+    block = rf"<!-- ({'|'.join(_TITLES)}) (\S+) -->\n```json\n(.*?)```"
+    found = re.findall(block, PAGE.read_text(), flags=re.S)
     return [(kind, key, json.loads(text)) for kind, key, text in found]
 
 
@@ -94,6 +98,9 @@ class PageClient:
             return self._send_state(full, payload, self._sign(key, payload) if kind == "signed" else None)
         if kind == "followed":
             return self._follow(full, payload)
+        if kind == "token":
+            (token,) = self._session.liveliness().get(full, timeout=TIMEOUT)
+            return protocol.encode({"key": str(token.ok.key_expr)}, self._codec)
         if kind == "cancel":
             self._session.put(f"{full}/cancel", b"")
             return self._answer(key, self._plan)

@@ -76,6 +76,11 @@ def test_schemas_are_valid_and_give_every_field_a_meaning(name):
 def test_schemas_accept_every_exchange_of_the_wire_page():
     with Server(["four_finger"], listen=ANY_LOCAL_PORT) as server, plain_session(server.addresses[0]) as session:
         for exchange in page_exchanges(session, "application/json"):
+            if exchange.key.startswith("schema/"):
+                jsonschema.Draft202012Validator.check_schema(exchange.reply)
+                continue
+            if exchange.kind == "token":
+                continue
             if exchange.kind in ("state", "signed"):
                 names = ["streams/state", "streams/command"]
             elif exchange.kind == "cancel":
