@@ -10,11 +10,12 @@ import argparse
 from pathlib import Path
 
 from benchmarks import report_page
-from benchmarks.lifecycle import collisions, foreign, full_cycle, gaiting, query_latency, search
+from benchmarks.lifecycle import collisions, cycle_times, foreign, full_cycle, gaiting, query_latency, search
 
 SECTIONS = {
     "collisions": collisions,
     "full_cycle": full_cycle,
+    "cycle_times": cycle_times,
     "gaiting": gaiting,
     "search": search,
     "query_latency": query_latency,

@@ -87,17 +87,22 @@ def run(path: Path, options: argparse.Namespace) -> None:
                         if (hand, name, world, seed) in done:
                             continue
                         if (hand, name) not in plans:
-                            record = scenes.get((hand, name)) or _search(hand, name)
+                            record = scenes.get((hand, name)) or find_scene(hand, name)
                             if (hand, name) not in scenes:
                                 results.append(record)
-                            plans[hand, name] = _planned(hand, record)
+                            plans[hand, name] = planned_cycle(hand, record)
                         found = plans[hand, name]
                         if found is not None:
                             results.append(_episode(found, hand, name, world, seed))
 
 
-def _search(hand: str, name: str) -> JsonRecord:
-    """Search the grasp of an object on a table, and return its record; with a fault if no grasp allows a cycle."""
+def find_scene(hand: str, name: str) -> JsonRecord:
+    """Search the grasp of an object on a table, and return its record; with a fault if no grasp allows a cycle.
+
+    Args:
+        hand: name of the hand.
+        name: one of `OBJECTS`.
+    """
     start = time.perf_counter()
     print(f"{hand}: searching a grasp of {name}", flush=True)
     record: JsonRecord = {"kind": "scene", "hand": hand, "object": name, "fault": ""}
@@ -114,8 +119,13 @@ def _search(hand: str, name: str) -> JsonRecord:
     return {**record, **found, "seconds": time.perf_counter() - start}
 
 
-def _planned(hand: str, record: JsonRecord) -> tuple[TableScene, CyclePlan] | None:
-    """Return the scene of a record with its plan; None if no grasp was found."""
+def planned_cycle(hand: str, record: JsonRecord) -> tuple[TableScene, CyclePlan] | None:
+    """Return the scene of a record with its plan; None if no grasp was found.
+
+    Args:
+        hand: name of the hand.
+        record: of `find_scene`.
+    """
     if record["fault"]:
         return None
     grasp = Grasp.from_dict(record["grasp"], Hand.load(hand))

@@ -19,6 +19,7 @@ from graspforce.cli.run_simulation import ServiceOptions, connect_service
 from graspforce.cli.run_world import world_table
 from graspforce.cli.stream_controller import PhaseStreamController
 from graspforce.control.phases.cycle_plan import CyclePlan
+from graspforce.control.phases.motion_profile import CarryProfiles
 from graspforce.control.phases.phase_controller import PhaseController
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.phases.phase_step import PhaseCommand
@@ -26,6 +27,8 @@ from graspforce.control.settings import ControlSettings
 from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput
 from graspforce.estimation.sensor_model import SensorModel
+from graspforce.planning.failure import PlanFailure
+from graspforce.planning.fastest_cycle import CycleLimits, fastest_cycle
 from graspforce.service import PhaseStreamSetup
 from graspforce.simulation.cycle.cycle_outcome import CycleOutcome, judge_cycle, phase_table
 from graspforce.simulation.cycle.cycle_run import CycleRecording
@@ -35,6 +38,10 @@ from graspforce.simulation.cycle.table_scene import TableScene
 from graspforce.simulation.plants.plant import Plant
 from graspforce.simulation.worlds.world import World
 
+_LIMIT_OPTIONS = {
+    "speed": "base-speed", "acceleration": "base-acceleration", "jerk": "base-jerk", "joint_jerk": "joint-jerk",
+    "torque_reserve": "reserve",
+}  # fmt: skip
 WORLDS = ("nominal", "real")
 CONTROLLERS = ("estimate", "exact")
 _LOCKSTEP_VALIDITY = 2.0  # s: the plant waits for each command, and a late one stops the cycle
@@ -55,6 +62,7 @@ class CycleOptions:
         controller: estimate or exact.
         standoff: distance of the fingertips from the contacts before the close, m.
         touch_force: largest force of a fingertip before the squeeze, N.
+        limits: limits of the fastest motions; None for fixed times.
 
     Raises:
         InvalidInput: names the option and the allowed values.
@@ -69,6 +77,7 @@ class CycleOptions:
     controller: str
     standoff: float
     touch_force: float
+    limits: CycleLimits | None = None
 
     def __post_init__(self) -> None:
         arrays.check_number(self.lift, "--lift", above=0.0)
@@ -84,6 +93,30 @@ class CycleOptions:
     def settings(self) -> PhaseSettings:
         """Return the settings of the phases."""
         return PhaseSettings(standoff=self.standoff, touch_force=self.touch_force)
+
+    @property
+    def assumptions(self) -> Assumptions:
+        """Errors that the controller assumes."""
+        return REAL_ASSUMPTIONS if self.world == "real" else Assumptions()
+
+
+def parse_cycle_limits(speed: float, acceleration: float, jerk: float, joint_jerk: float, reserve: float) -> CycleLimits:
+    """Return the limits of the fastest motions from the command's options.
+
+    Args:
+        speed: --base-speed, m/s.
+        acceleration: --base-acceleration, m/s².
+        jerk: --base-jerk, m/s³.
+        joint_jerk: --joint-jerk, rad/s³.
+        reserve: --reserve, a fraction of the torques.
+
+    Raises:
+        InvalidInput: a value out of range; names the option.
+    """
+    try:
+        return CycleLimits(speed, acceleration, jerk, joint_jerk, reserve)
+    except InvalidInput as error:
+        raise error.with_field(f"--{_LIMIT_OPTIONS.get(error.field, error.field)}") from None
 
 
 def run(options: CycleOptions, output: RunFiles, console: Console, service: ServiceOptions | None = None) -> bool:
@@ -108,10 +141,11 @@ def run(options: CycleOptions, output: RunFiles, console: Console, service: Serv
     world = World.real(options.world_seed, torque_limit) if options.world == "real" else World(seed=options.world_seed)
     if options.world == "real":
         console.print(world_table(world))
-    assumptions = REAL_ASSUMPTIONS if options.world == "real" else Assumptions()
+    if options.limits is not None:
+        plan = _fastest(plan, options, world, console)
     with ExitStack() as stack:
         make_controller = _controller_maker(service, scene.grasp.hand.name, console, stack)
-        recording = _simulate(options, output, console, (scene, plan, world, assumptions), make_controller)
+        recording = _simulate(options, output, console, (scene, plan, world), make_controller)
     outcome = judge_cycle(recording)
     _show(recording, outcome, output, console)
     put_result(console, {"hand": scene.grasp.hand.name, "is_success": outcome.is_success, "outcome": outcome})
@@ -141,6 +175,22 @@ def _find(options: CycleOptions, console: Console) -> tuple[TableScene, CyclePla
     return scene, plan
 
 
+def _fastest(plan: CyclePlan, options: CycleOptions, world: World, console: Console) -> CyclePlan:
+    """Return the plan with the fastest motions, and print their times."""
+    control = options.assumptions.settings(plan.gravity_H, world.sensors.rate)
+    with console.status("Planning the fastest motions"):
+        fast = fastest_cycle(plan, control, options.limits)
+    if isinstance(fast, PlanFailure):
+        raise InvalidInput("--minimum-time", fast.reason, "a cycle that the limits allow")
+    times = [("approach", plan.approach.duration, fast.approach.duration)]
+    profiles = zip(plan.carry_profiles, fast.carry_profiles, strict=True)
+    names = zip(CarryProfiles._fields, profiles, strict=True)
+    times += [(name, before.duration, after.duration) for name, (before, after) in names]
+    words = ", ".join(f"{name} {after:.3f} s ({before:.3f})" for name, before, after in times)
+    console.print(f"Fastest motions, with fixed times in brackets: {words}.")
+    return fast
+
+
 def _controller_maker(service: ServiceOptions | None, hand: str, console: Console, stack: ExitStack) -> ControllerMaker:
     """Return the maker of the controller, which runs in the service if there is one."""
     if service is None:
@@ -160,14 +210,14 @@ def _simulate(
     options: CycleOptions,
     output: RunFiles,
     console: Console,
-    setting: tuple[TableScene, CyclePlan, World, Assumptions],
+    setting: tuple[TableScene, CyclePlan, World],
     make_controller: ControllerMaker,
 ) -> CycleRecording:
     """Simulate the cycle with progress and film."""
     from graspforce.cli.phase_film import PhaseFilm  # imported here: drawing is slow to import
 
-    scene, plan, world, assumptions = setting
-    control = assumptions.settings(scene.gravity_H, world.sensors.rate)
+    scene, plan, world = setting
+    control = options.assumptions.settings(scene.gravity_H, world.sensors.rate)
     with ExitStack() as stack:
         bar = stack.enter_context(Progress(SpinnerColumn(), TextColumn("{task.description}"), console=console, transient=True))
         task = bar.add_task("approach")

@@ -10,6 +10,7 @@ import numpy as np
 from graspforce.contact.contact import Contact
 from graspforce.control import ContactChange, ControlSettings
 from graspforce.control.friction.friction_compensation import FrictionSettings
+from graspforce.control.phases.motion_profile import CarryProfiles, MotionProfile
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.estimation.sensor_model import CameraModel, SensorModel
 from graspforce.force.problem import ForceProblem
@@ -93,6 +94,7 @@ def cases() -> list[Case]:
     setup = control_requests.setup().to_dict() | {"settings": settings, "sensors": sensors}
     setup["offset"] = {"position": [0.0, 0.0, 0.001], "quaternion": [1.0, 0.0, 0.0, 0.0]}
     cycle = _page_record("streams/my-cycle") | {"phases": PhaseSettings().to_dict(), "sensors": sensors, "settings": settings}
+    cycle["plan"]["profiles"] = CarryProfiles(*[MotionProfile.least_jerk(0.3)] * 3).to_dict()
     joints = _page_record("streams/my-joints")
     gains = {name: value for name, value in joints.items() if name != "frequency"} | {
         "gains": {"kp": [9.0] * n, "kv": [6.0] * n}

@@ -39,6 +39,14 @@ def cycle(
         float, typer.Option(metavar="M", help="Distance of the fingertips from the contacts before the close, m.")
     ] = 0.02,
     touch_force: Annotated[float, typer.Option(metavar="N", help="Largest force of a fingertip before the squeeze, N.")] = 0.2,
+    minimum_time: Annotated[
+        bool, typer.Option("--minimum-time", help="Plan the fastest approach, lift, move and place within the limits below.")
+    ] = False,
+    base_speed: Annotated[float, typer.Option(metavar="M/S", help="Largest speed of the hand's base.")] = 0.5,
+    base_acceleration: Annotated[float, typer.Option(metavar="M/S²", help="Largest acceleration of the hand's base.")] = 3.0,
+    base_jerk: Annotated[float, typer.Option(metavar="M/S³", help="Largest jerk of the hand's base.")] = 60.0,
+    joint_jerk: Annotated[float, typer.Option(metavar="RAD/S³", help="Largest jerk of each joint in the approach.")] = 2000.0,
+    reserve: Annotated[float, typer.Option(metavar="PART", help="Fraction of motor torque reserved for feedback.")] = 0.1,
     connect: Annotated[
         str | None, typer.Option(metavar="ENDPOINT", help="Run the controller in the service at this Zenoh endpoint.")
     ] = None,
@@ -56,6 +64,8 @@ def cycle(
     The object stands on a table, up to 10 mm and 10° from where the controller expects it. The hand's base is moved by an
     ideal arm.
 
+    With --minimum-time the durations of approach, lift, move and place are optimised within torques, forces and joint rates.
+
     Exit code 1: the object was not lifted, moved, placed and released.
     """
     require_libraries("mujoco")
@@ -65,6 +75,7 @@ def cycle(
     from graspforce.cli.options import GraspOptions, RunFiles, parse_vector
     from graspforce.cli.run_simulation import service_options
 
+    limits = (base_speed, base_acceleration, base_jerk, joint_jerk, reserve)
     error = parse_vector(pose_error, "--pose-error", 2)
     options = run_cycle.CycleOptions(
         grasp=GraspOptions(hand, object_name, mass, friction, fingers, "0,0,-9.81", seed),
@@ -76,6 +87,7 @@ def cycle(
         controller=controller,
         standoff=standoff,
         touch_force=touch_force,
+        limits=run_cycle.parse_cycle_limits(*limits) if minimum_time else None,
     )
     output = RunFiles(video, frames, plots, force)
     service = service_options(connect, serve)

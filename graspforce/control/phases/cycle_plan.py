@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from graspforce.control.joints.joint_trajectory import JointTrajectory
+from graspforce.control.phases.motion_profile import CarryProfiles, MotionProfile
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
-from graspforce.geometry.minimum_jerk import minimum_jerk
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.hand import Hand
 
@@ -60,6 +60,7 @@ class CyclePlan:
         approach: motion from the start posture to `q_pregrasp`, from rest to rest.
         lift: (3,) displacement of the base that lifts the object, in H, m.
         move: (3,) displacement of the base from there to above the goal, in H, m.
+        profiles: time profiles of the base. Default: least jerk, with a mean speed of 0.1 m/s and at least 0.3 s.
 
     Raises:
         InvalidInput: a value is not finite or of the wrong shape, or gravity is zero.
@@ -72,6 +73,7 @@ class CyclePlan:
     approach: JointTrajectory
     lift: Array = field(default_factory=lambda: freeze(np.zeros(3)))
     move: Array = field(default_factory=lambda: freeze(np.zeros(3)))
+    profiles: CarryProfiles | None = None
 
     if TYPE_CHECKING:  # the constructor accepts more types than the fields have
 
@@ -84,6 +86,7 @@ class CyclePlan:
             approach: JointTrajectory,
             lift: npt.ArrayLike = ...,
             move: npt.ArrayLike = ...,
+            profiles: CarryProfiles | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -106,28 +109,37 @@ class CyclePlan:
         """(3,) unit vector along gravity, in H."""
         return np.asarray(self.gravity_H / np.linalg.norm(self.gravity_H))
 
+    @property
+    def carry_profiles(self) -> CarryProfiles:
+        """Time profiles of the base: those of the plan, or those of least jerk."""
+        if self.profiles is not None:
+            return self.profiles
+        lift, move = (MotionProfile.least_jerk(move_time(each)) for each in (self.lift, self.move))
+        return CarryProfiles(lift, move, lift)
+
     def to_dict(self) -> JsonRecord:
-        """Return a plain record: `hold`, the grasp; `gravity`, `pregrasp`, `standoff`, `approach`, `lift` and `move`.
+        """Return a plain record: `hold`, the grasp; `gravity`, `pregrasp`, `standoff`, `approach`, `lift`, `move`, `profiles`.
 
         Raises:
             InvalidInput: the object's shape is an implicit surface, whose function cannot be stored.
         """
         vectors = {name: getattr(self, attribute).tolist() for name, attribute in _VECTORS.items()}
-        return {"hold": self.grasp.to_dict(), **vectors, "approach": self.approach.to_dict()}
+        profiles = {} if self.profiles is None else {"profiles": self.profiles.to_dict()}
+        return {"hold": self.grasp.to_dict(), **vectors, "approach": self.approach.to_dict(), **profiles}
 
     @classmethod
     def from_dict(cls, record: object, hand: Hand, field: str = "plan") -> CyclePlan:
         """Read a plan from a plain record.
 
         Args:
-            record: as `to_dict` returns it; `lift` and `move` may be absent.
+            record: as `to_dict` returns it; `lift`, `move` and `profiles` may be absent.
             hand: the hand.
             field: path of the record, for errors.
 
         Raises:
             InvalidInput: a field is missing, unknown or out of range; names it with its path.
         """
-        values = fields.check_record(record, field, required=_REQUIRED, optional=("lift", "move"))
+        values = fields.check_record(record, field, required=_REQUIRED, optional=("lift", "move", "profiles"))
         grasp = Grasp.from_dict(values["hold"], hand, f"{field}.hold")
         sizes = {"gravity": 3, "pregrasp": hand.n, "standoff": len(grasp.fingers), "lift": 3, "move": 3}
         vectors = {
@@ -138,11 +150,13 @@ class CyclePlan:
         if not vectors["gravity_H"].any():
             raise InvalidInput(f"{field}.gravity", values["gravity"], "not zero: the table is below the object")
         approach = JointTrajectory.from_dict(values["approach"], hand.n, f"{field}.approach")
-        return cls(grasp=grasp, approach=approach, **vectors)
+        given = values.get("profiles")
+        profiles = None if given is None else CarryProfiles.from_dict(given, f"{field}.profiles")
+        return cls(grasp=grasp, approach=approach, profiles=profiles, **vectors)
 
 
 def move_time(displacement: Array) -> float:
-    """Return the time of a motion of the base, s.
+    """Return the time of a motion of the base without a profile, s.
 
     Args:
         displacement: (3,) m.
@@ -150,15 +164,16 @@ def move_time(displacement: Array) -> float:
     return max(float(np.linalg.norm(displacement)) / _MOVE_SPEED, _LEAST_MOVE_TIME)
 
 
-def base_motion(start: Array, displacement: Array, t: float) -> BaseMotion:
-    """Return the motion of the base with least jerk at a time.
+def base_motion(start: Array, displacement: Array, profile: MotionProfile, t: float) -> BaseMotion:
+    """Return the motion of the base at a time.
 
     Args:
         start: (3,) displacement at t = 0, m.
         displacement: (3,) further displacement, m.
+        profile: its time profile.
         t: time since the start of the motion, s.
     """
-    s, ds, dds = minimum_jerk(t, move_time(displacement))
+    s, ds, dds = profile(t)
     return BaseMotion(freeze(start + s * displacement), freeze(ds * displacement), freeze(dds * displacement))
 
 

@@ -10,9 +10,10 @@ import numpy as np
 
 from graspforce.contact.motion import BodyMotion
 from graspforce.control.joints.joint_command import JointMotion
-from graspforce.control.phases.cycle_plan import BaseMotion, base_motion, braked_motion, move_time
+from graspforce.control.phases.cycle_plan import BaseMotion, base_motion, braked_motion
 from graspforce.control.phases.finger_servo import FingerServo, ServoMemory
 from graspforce.control.phases.load_transfer import inertial_wrench, table_wrench
+from graspforce.control.phases.motion_profile import MotionProfile
 from graspforce.control.phases.phase_rules import LOST_CONTACT, NO_FORCES
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.phases.phase_step import FeedbackController, ObjectCommand, PhaseTorques
@@ -59,6 +60,18 @@ class HeldObject(NamedTuple):
         external = external + inertial_wrench(grasp.body, grasp.R_HO, base.a)
         target = BodyMotion(grasp.p_HO, grasp.R_HO) if desired is None else desired
         return self.controller.step(measurement, target, external if external.any() else None)
+
+    def torque(self, command: ObjectCommand, q: Array, base: BaseMotion) -> Array:
+        """Return the torques of a command, (n,) N·m, with those that accelerate the links with the base.
+
+        Args:
+            command: the command of the object controller, which knows gravity only.
+            q: (n,) joint positions, rad.
+            base: motion of the base.
+        """
+        if not base.a.any():
+            return np.asarray(command.tau)
+        return freeze(command.tau + self.grasp.hand.gravity_torque(q, -base.a))
 
 
 class YieldingTarget:
@@ -165,14 +178,18 @@ class CarryPhase:
         held: the object.
         start: (3,) displacement of the base at the start, m.
         displacement: (3,) further displacement, m.
+        profile: its time profile.
         lowers: whether the table carries the object at the end: after the motion, the weight goes back to it.
 
     Attributes:
         target: target pose of the object on the table, after the motion.
     """
 
-    def __init__(self, held: HeldObject, start: Array, displacement: Array, lowers: bool = False) -> None:
+    def __init__(
+        self, held: HeldObject, start: Array, displacement: Array, profile: MotionProfile, lowers: bool = False
+    ) -> None:
         self._held, self._start, self._displacement, self._lowers = held, start, displacement, lowers
+        self._profile = profile
         self._watch, self.target = GraspWatch(held), YieldingTarget(held)
 
     def step(self, t: float, measurement: Measurement, memory: ServoMemory) -> PhaseTorques:
@@ -184,8 +201,8 @@ class CarryPhase:
             memory: memory of the servo.
         """
         held, settings = self._held, self._held.settings
-        duration = move_time(self._displacement)
-        base = base_motion(self._start, self._displacement, t)
+        duration = self._profile.duration
+        base = base_motion(self._start, self._displacement, self._profile, t)
         table, end = 0.0, duration + settings.settling_time
         if self._lowers:
             table = minimum_jerk(max(t - end, 0.0), settings.transfer_time)[0]
@@ -193,7 +210,8 @@ class CarryPhase:
         servo = held.servo.observe(memory, measurement)
         is_on_table = self._lowers and t >= duration
         command = held.step(measurement, table, base, self.target.advance() if is_on_table else None)
-        return PhaseTorques(command.tau, servo, base, t >= end, self._watch.abort_reason(command), command, 1.0)
+        tau = held.torque(command, servo[0].q, base)
+        return PhaseTorques(tau, servo, base, t >= end, self._watch.abort_reason(command), command, 1.0)
 
 
 class HoldObject:
@@ -226,4 +244,5 @@ class HoldObject:
         base = braked_motion(self._base, t, _DECELERATION)
         servo = self._held.servo.observe(memory, measurement)
         command = self._held.step(measurement, 0.0, base, self._desired)
-        return PhaseTorques(command.tau, servo, base, command=command, share=1.0)
+        tau = self._held.torque(command, servo[0].q, base)
+        return PhaseTorques(tau, servo, base, command=command, share=1.0)

@@ -164,16 +164,16 @@ class PhaseController:
 
     def _object_phase(self, held: HeldObject, servo: ServoStep, rest: BaseMotion) -> _Phase:
         """Return the present phase of the held object."""
-        plan = self.plan
+        plan, profiles = self.plan, self.plan.carry_profiles
         if self.phase == "squeeze":
             assert self._closing is not None  # the phase before
             return SqueezePhase(held, self._closing.q_wait, rest)
         if self.phase == "lift":
-            return CarryPhase(held, rest.p, plan.lift)
+            return CarryPhase(held, rest.p, plan.lift, profiles.lift)
         if self.phase == "move":
-            return CarryPhase(held, rest.p, plan.move)
+            return CarryPhase(held, rest.p, plan.move, profiles.move)
         if self.phase == "place":
-            return CarryPhase(held, rest.p, -plan.lift, lowers=True)
+            return CarryPhase(held, rest.p, -plan.lift, profiles.place, lowers=True)
         return ReleasePhase(held, servo.q, rest, plan.standoff)
 
     def _touch(self, servo: ServoStep) -> bool:

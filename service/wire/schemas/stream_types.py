@@ -78,6 +78,36 @@ class TrajectoryRecord(Struct, forbid_unknown_fields=True, kw_only=True):
     acceleration: Rows
 
 
+class MotionProfileRecord(Struct, forbid_unknown_fields=True, kw_only=True):
+    """The share of a straight displacement over time, from rest to rest, through knots.
+
+    Args:
+        times: times of the knots, s, increasing from 0.
+        share: share of the displacement at each knot, from 0 to 1.
+        rate: its rate, 1/s; 0 at both ends.
+        acceleration: its second derivative, 1/s².
+    """
+
+    times: Numbers
+    share: Numbers
+    rate: Numbers
+    acceleration: Numbers
+
+
+class CarryProfilesRecord(Struct, forbid_unknown_fields=True, kw_only=True):
+    """Time profiles of the hand's base while the object is held.
+
+    Args:
+        lift: from the table to the lift height.
+        move: from there to above the goal.
+        place: from there back to the table.
+    """
+
+    lift: MotionProfileRecord
+    move: MotionProfileRecord
+    place: MotionProfileRecord
+
+
 class CyclePlanRecord(Struct, forbid_unknown_fields=True, kw_only=True):
     """A grasp from a table and back.
 
@@ -89,6 +119,7 @@ class CyclePlanRecord(Struct, forbid_unknown_fields=True, kw_only=True):
         approach: motion from the start posture to `pregrasp`.
         lift: displacement of the hand's base that lifts the object, in H, m.
         move: displacement from there to above the goal, in H, m.
+        profiles: time profiles of these displacements; least jerk with a mean speed of 0.1 m/s by default.
     """
 
     hold: GraspRecord
@@ -98,6 +129,7 @@ class CyclePlanRecord(Struct, forbid_unknown_fields=True, kw_only=True):
     approach: TrajectoryRecord
     lift: Vector3 = field(default_factory=lambda: [0.0, 0.0, 0.0])
     move: Vector3 = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    profiles: CarryProfilesRecord | None = None
 
 
 class PhaseSetup(_SetupRequest, tag_field="kind", tag="phases", forbid_unknown_fields=True, kw_only=True):
