@@ -81,9 +81,9 @@ def findings_report(findings: Sequence[Finding]) -> RenderableType:
     for (severity, consequence, remedy), alike in groupby(findings, lambda f: (f.severity, f.consequence, f.remedy)):
         style = {"error": "bold red", "warning": "bold yellow"}.get(severity, "bold")
         parts.append(Text(severity.capitalize(), style=style))
-        parts += [Padding(Text(f"{finding.location}: {finding.problem}"), (0, 0, 0, 2)) for finding in alike]
-        parts.append(Padding(Text.assemble(("Consequence:", "dim"), f" {consequence}"), (0, 0, 0, 4)))
-        parts += [Padding(Text.assemble(("Remedy:", "dim"), f" {remedy}"), (0, 0, 0, 4)), ""]
+        parts += [Padding.indent(Text(f"{finding.location}: {finding.problem}"), 2) for finding in alike]
+        parts.append(Padding.indent(Text.assemble(("Consequence:", "dim"), f" {consequence}"), 4))
+        parts += [Padding.indent(Text.assemble(("Remedy:", "dim"), f" {remedy}"), 4), ""]
     errors = sum(finding.severity == "error" for finding in findings)
     warnings = sum(finding.severity == "warning" for finding in findings)
     return Group(*parts, Text(f"{count_text(errors, 'error')}, {count_text(warnings, 'warning')}."))
@@ -109,9 +109,9 @@ def new_hand_report(described: NewDescription, path: str) -> RenderableType:
         f"graspforce simulate --hand {path} --reference still",
     ]
     parts: list[RenderableType] = [Text(f"Written: {path}", style="bold"), "", make_table(columns, left=2), ""]
-    parts += [Padding(Text(remark), (0, 0, 0, 2)) for remark in described.remarks]
+    parts += [Padding.indent(Text(remark), 2) for remark in described.remarks]
     if described.unfilled:
         parts += ["", Text("Fill in, from the data sheet of the motors:", style="bold yellow")]
-        parts += [Padding(Text(name), (0, 0, 0, 2)) for name in described.unfilled]
-    parts += ["", Text("Next steps:", style="bold"), *(Padding(Text(step), (0, 0, 0, 2)) for step in steps), ""]
+        parts += [Padding.indent(Text(name), 2) for name in described.unfilled]
+    parts += ["", Text("Next steps:", style="bold"), *(Padding.indent(Text(step), 2) for step in steps), ""]
     return Group(*parts)

@@ -50,21 +50,22 @@ class NewDescription:
     unfilled: tuple[str, ...]
     remarks: tuple[str, ...]
 
-    def write(self, path: str | os.PathLike[str]) -> None:
+    def write(self, path: str | os.PathLike[str], replace: bool = False) -> None:
         """Write the description, and beside it its URDF if there is a new one.
 
         Args:
             path: path of the description file.
+            replace: whether existing files may be replaced.
 
         Raises:
-            InvalidInput: one of the two files exists.
+            InvalidInput: one of the two files exists, and `replace` is false.
             OSError: a file cannot be written.
         """
         target = Path(path)
         model = target.parent / self.record["urdf"]
         for file in [target, *([model] if self.urdf_text is not None else [])]:
-            if file.exists():
-                raise InvalidInput("output", str(file), "a new file: it exists")
+            if file.exists() and not replace:
+                raise InvalidInput("path", str(file), "a new file, or given with replace to replace the existing one")
         if self.urdf_text is not None:
             write_text(model, self.urdf_text)
         write_text(target, json.dumps(self.record, indent=2, ensure_ascii=False) + "\n")

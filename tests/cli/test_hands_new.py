@@ -27,11 +27,21 @@ def test_new_writes_a_description_and_names_what_to_fill_in(tmp_path: Path, caps
     assert len(Hand.load(target).fingers) == 5
 
 
+def test_reports_off_a_terminal_have_no_padding(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Lines end with their text: other programs read them, and a line may be as long as its text."""
+    target = str(tmp_path / "own.json")
+    for arguments in (("new", str(load("dlr_hit2").urdf_path), "-o", target), ("lint", target)):
+        main(["hands", *arguments])
+        lines = capsys.readouterr().out.splitlines()
+        assert any(line.startswith("    Remedy: ") for line in lines)
+        assert all(line == line.rstrip() for line in lines)
+
+
 def test_new_says_in_words_why_it_cannot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source = str(load("four_finger").urdf_path)
     (tmp_path / "own.json").write_text("{}")
     for arguments, words in (
-        (("hands", "new", source, "-o", str(tmp_path / "own.json")), "it exists"),
+        (("hands", "new", source, "-o", str(tmp_path / "own.json")), "--force"),
         (("hands", "new", source, "-o", str(tmp_path / "new.json"), "--base", "elbow"), "elbow"),
         (("hands", "new", str(tmp_path / "none.urdf")), "none.urdf"),
         (("hands", "show", str(tmp_path / "own.json")), "own.json"),

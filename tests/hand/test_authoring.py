@@ -179,12 +179,15 @@ def test_fingertips_of_shipped_hands_are_found(name: str) -> None:
         assert tips[finger.tip].frame_offset <= 1.1 * (finger.tip_radius or 0.0)
 
 
-def test_existing_files_are_never_overwritten(tmp_path: Path) -> None:
+def test_existing_files_are_kept_unless_they_are_to_be_replaced(tmp_path: Path) -> None:
     described, path = describe(tmp_path)
     for existing in (path, tmp_path / "my_hand.urdf"):
         before = existing.read_text()
-        with pytest.raises(InvalidInput, match="it exists"):
+        with pytest.raises(InvalidInput, match="a new file"):
             described.write(path)
+        assert existing.read_text() == before
+        existing.write_text("other")
+        described.write(path, replace=True)
         assert existing.read_text() == before
         existing.unlink()
 

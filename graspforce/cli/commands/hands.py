@@ -10,9 +10,10 @@ from typing import Annotated
 
 import typer
 
-from graspforce.cli.commands.output_arguments import AsJson
+from graspforce.cli.commands.output_arguments import AsJson, Force
 from graspforce.cli.completions import complete_hand
 from graspforce.cli.console import print_report
+from graspforce.cli.output_files import check_new_file
 
 app = typer.Typer()
 hands_app = typer.Typer(
@@ -95,6 +96,7 @@ def new(
     ] = None,
     density: Annotated[float, typer.Option(metavar="DENSITY", help="Density of links without mass (kg/m³).")] = 1500.0,
     meshes: Annotated[list[str] | None, typer.Option(metavar="DIR", help="Folder of mesh packages; repeatable.")] = None,
+    force: Force = False,
     as_json: AsJson = False,
 ) -> None:
     """Write a description of your own hand from its URDF: fingertips, couplings, missing inertias, motors to fill in."""
@@ -105,8 +107,9 @@ def new(
     from graspforce.hand.lint.lint_hand import lint_hand
 
     target = Path(model).with_suffix(".json") if output is None else Path(output)
+    check_new_file(target, "--out", force)
     described = describe_urdf(model, target, AuthoringOptions(base, density, tuple(meshes or ())))
-    described.write(target)
+    described.write(target, replace=force)
     findings = lint_hand(target)
     if as_json:
         print(json.dumps({"file": str(target), "findings": [dataclasses.asdict(finding) for finding in findings]}))

@@ -323,7 +323,10 @@ def _finger_sets(
     chosen = () if isinstance(fingers, str) else tuple(names.index(hand.finger(name).name) for name in fingers)
     least = 2 if has_pads or _all_soft(hand, chosen) else 3
     if len(set(chosen)) < len(chosen) or len(chosen) < least:
-        allowed = "at least three different fingers, or two with soft pads: two point contacts are never force-closed"
+        allowed = (
+            "at least three different fingers, or two with soft pads (torsional_friction in the hand's description): "
+            "two point contacts are never force-closed"
+        )
         raise InvalidInput("fingers", fingers, allowed)
     return [[chosen]]
 

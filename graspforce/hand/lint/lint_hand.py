@@ -89,7 +89,7 @@ def _check_links(model: Urdf, description: HandDescription | None) -> Iterator[F
             if not _is_point_mass(model, link, link.inertial):
                 yield from _check_moments(link, link.inertial, movers[-1])
             yield from _check_gyration_radius(link, link.inertial, movers[-1])
-            yield from _check_centre_of_mass(model, link, link.inertial, movers[-1])
+            yield from _check_centre_of_mass(model, link, link.inertial)
 
 
 def _check_mass(model: Urdf, link: UrdfLink, joint: UrdfJoint, description: HandDescription | None) -> Iterator[Finding]:
@@ -173,8 +173,15 @@ def _check_gyration_radius(link: UrdfLink, inertial: Inertial, joint: UrdfJoint)
         )
 
 
-def _check_centre_of_mass(model: Urdf, link: UrdfLink, inertial: Inertial, joint: UrdfJoint) -> Iterator[Finding]:
-    """Compare the centre of mass with the centre of the link's shapes, or of its joints if the shapes are meshes."""
+def _check_centre_of_mass(model: Urdf, link: UrdfLink, inertial: Inertial) -> Iterator[Finding]:
+    """Compare the centre of mass with the centre of the link's shapes, or of its joints if the shapes are meshes.
+
+    The weight's force on a sliding joint does not depend on the place of the centre.
+    """
+    turning = [each for each in model.chain(link.name) if each.is_moving and each.type != "prismatic"]
+    if not turning:
+        return
+    joint = turning[-1]
     at_origin = not inertial.com.any()
     low, high = _extent(link)
     ends = [

@@ -9,7 +9,7 @@ from graspforce.hand.collision import hand_collision
 from graspforce.hand.hand import Hand
 from graspforce.hand.lint.findings import Finding
 
-_ROUNDING = 1e-6  # m: smaller overlaps are rounding errors of the shapes
+_TOUCH = 1e-4  # m: links with smaller overlaps only touch, such as jaws that close
 _MAX_COUNT = 2**31
 
 
@@ -32,14 +32,16 @@ def check_postures(hand: Hand, samples: int = 300, seed: int = 0) -> tuple[Findi
     if not collision.pairs:
         return ()
     nearest = [collision.link_gaps(q)[0] for q in postures]
-    count = sum(gap.distance < -_ROUNDING for gap in nearest)
+    count = sum(gap.distance < -_TOUCH for gap in nearest)
     if count == 0:
         return ()
     worst = min(range(samples), key=lambda k: nearest[k].distance)
-    gap, example = nearest[worst], ", ".join(f"{x:.3g}" for x in postures[worst])
+    gap, units = nearest[worst], [joint.position_unit for joint in hand.joints]
+    example = ", ".join(f"{x:.3g}" for x in postures[worst])
+    unit = units[0] if len(set(units)) == 1 else f"each in {' or '.join(dict.fromkeys(units))}"
     problem = (
         f"links collide in {100.0 * count / samples:.0f} % of {samples} random postures within the limits, "
-        f"{gap.first} and {gap.second} by up to {-1e3 * gap.distance:.1f} mm, at q = ({example}) rad"
+        f"{gap.first} and {gap.second} by up to {-1e3 * gap.distance:.1f} mm, at q = ({example}) {unit}"
     )
     return (
         Finding(

@@ -200,6 +200,18 @@ def test_torque_in_a_warning_is_the_missing_gravity_torque(tmp_path: Path) -> No
     assert f"by up to {abs(torques[1]):.2g} N·m" in finding.consequence
 
 
+def test_centre_of_mass_does_not_matter_on_a_sliding_joint(tmp_path: Path) -> None:
+    """The weight's force along the slide is the same wherever the centre is."""
+    fault: dict[str, object] = {"com": "0 0 0", "type": "prismatic", "limit": LIMIT}
+    path = description(tmp_path, **fault)
+    assert not [each for each in lint_hand(path) if "centre of mass" in each.problem]
+    centred = Hand.load(path).model
+    moved = Hand.load(description(tmp_path, **(fault | {"com": "0.03 0.01 0"}))).model
+    zero, gravity = np.zeros(1), np.array([1.0, 9.81, 2.0])
+    weights = [model.inverse_dynamics(zero, zero, zero, gravity) for model in (centred, moved)]
+    np.testing.assert_allclose(weights[0], weights[1], rtol=1e-12)
+
+
 def test_mass_matrix_of_a_massless_joint_is_singular(tmp_path: Path) -> None:
     path = description(tmp_path, {"rotor_inertia": 0}, inertial="")
     assert only_finding(lint_hand(path), "has no mass").severity == "error"
