@@ -6,7 +6,6 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from html import escape
 from typing import Any, NamedTuple
 
@@ -16,18 +15,22 @@ from graspforce.contact import friction
 from graspforce.contact.contact import ContactSet
 from graspforce.control.clearance import ClearanceQuery
 from graspforce.control.contacts.contact_constraints import ContactConstraints
-from graspforce.control.contacts.mobility import planned_rates
+from graspforce.control.contacts.mobility import NO_TWISTS, planned_rates
 from graspforce.control.drives.drive_commands import DriveCommand, DriveMap
 from graspforce.control.drives.drive_margin import TorqueSensitivity, torque_sensitivity
 from graspforce.control.state import GraspState
 from graspforce.control.step_data import StepResult, StepTargets
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
+from graspforce.core.compiled import native
 from graspforce.core.json_text import JsonRecord
+from graspforce.core.lazy_field import LazyField
 from graspforce.core.text_table import Table
 from graspforce.force.solution import Solution
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.collision import LinkGap
+
+_NO_WRENCH = freeze(np.zeros(6))
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,6 +265,22 @@ def free_torque(command: Command) -> Array | None:
     return command._source.free_torque if isinstance(command, _LazyCommand) else None
 
 
+def read_step_arrays(command: Command) -> tuple[Array, ...]:
+    """Return the fields w, acceleration, joint_acceleration, error, slip_margin, uncontrollable and structural_wrench.
+
+    A command that is read once, such as one of a stream, need not store them.
+
+    Args:
+        command: the command.
+    """
+    if not isinstance(command, _LazyCommand) or command._source.targets.uncontrollable_error is not None:
+        motion = command.w, command.acceleration, command.joint_acceleration, command.error
+        return *motion, command.slip_margin, command.uncontrollable, command.structural_wrench
+    targets = command._source.targets
+    motion = targets.w, targets.object_acceleration, targets.joint_acceleration, targets.error
+    return *motion, _slip_margin(command), NO_TWISTS, _NO_WRENCH
+
+
 def _current_contacts(command: _LazyCommand) -> ContactSet:
     """Return the contacts of the grasp at their present positions."""
     contacts, targets = command._source.grasp.contacts, command._source.targets
@@ -280,6 +299,10 @@ def _slip_margin(command: _LazyCommand) -> Array:
     """Return μ f_n − ‖f_t‖ with the true friction, (N,), N."""
     contacts = command._source.grasp.contacts
     if contacts.size == 3 * len(contacts):  # point contacts
+        if native is not None:
+            margins = np.empty(len(contacts))
+            native.slip_margins(command.f, contacts.mu, margins)
+            return margins
         f_t1, f_t2, f_n = command.f.reshape(-1, 3).T
         return np.asarray(contacts.mu * f_n - np.hypot(f_t1, f_t2))
     return friction.slip_margin(contacts.pad(command.f), contacts.mu, contacts.gamma)
@@ -314,6 +337,8 @@ def _drive(command: _LazyCommand) -> DriveCommand:
 
 def _uncontrollable(command: _LazyCommand) -> Array:
     """Return the uncontrollable twists in H's axes, (m, 6)."""
+    if command._source.targets.uncontrollable_error is None:  # every twist is feasible
+        return NO_TWISTS
     uncontrollable = command._source.targets.accelerations.uncontrollable
     if not uncontrollable.size:
         return uncontrollable
@@ -323,16 +348,16 @@ def _uncontrollable(command: _LazyCommand) -> Array:
 def _structural_wrench(command: _LazyCommand) -> Array:
     """Return the wrench of the forces that load no motor, (6,), in O, N and N·m."""
     grasp, constraints, targets, *_ = command._source
+    if targets.uncontrollable_error is None or targets.accelerations.Q is None:
+        return _NO_WRENCH
     Q = targets.accelerations.Q
-    if Q is None:
-        return np.zeros(6)
     f, (_, B, _) = constraints.constraint_forces(grasp.contacts.pad(command.f)), constraints.constraint_rows(targets.rolling)
     return np.asarray((Q @ (Q.T @ f)) @ B)
 
 
 def _lazy_field(compute: Callable[[_LazyCommand], Any]) -> Any:
-    """Return a field that is computed at its first access."""
-    return cached_property(compute)
+    """Return a field that is computed at its first access; its type is that of the field of `Command`."""
+    return LazyField(compute)
 
 
 class _LazyCommand(Command):

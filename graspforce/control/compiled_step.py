@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, obj
 from graspforce.control.step_data import IntegralRule, StepResult, StepTargets
 from graspforce.core.arrays import Array
 from graspforce.core.compiled import Block, native, new_block
+from graspforce.core.lazy_field import LazyField
 from graspforce.grasp.grasp import Grasp
 
 _Rows = tuple[Array | None, Array | None, Array | None]
@@ -222,9 +222,9 @@ class CompiledStep:
         return contacts_from_block(block, self._contacts, block["J"])
 
 
-def _block_field(name: str) -> cached_property[Array]:
+def _block_field(name: str) -> LazyField[Array]:
     """Return a field of the block that becomes an array at its first access."""
-    return cached_property(lambda targets: targets.block[name])
+    return LazyField(lambda targets: targets.block[name])
 
 
 class CompiledTargets(StepTargets):
@@ -240,8 +240,8 @@ class CompiledTargets(StepTargets):
     _compiled_step: CompiledStep
     uncontrollable_error = None
     error, object_acceleration, w = _block_field("error"), _block_field("acceleration_H"), _block_field("w")
-    rolling = cached_property(lambda targets: targets._compiled_step.contacts_from_block(targets.block))
-    accelerations = cached_property(
+    rolling = LazyField(lambda targets: targets._compiled_step.contacts_from_block(targets.block))
+    accelerations = LazyField(
         lambda targets: Accelerations(targets.block["acceleration_O"], targets.joint_acceleration, NO_TWISTS, None, None)
     )
 

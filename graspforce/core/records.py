@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 T = TypeVar("T")
 
@@ -68,21 +68,20 @@ def copy_unchecked(record: T, /, **changes: object) -> T:
 def unchecked_constructor(cls: type[T]) -> Callable[..., T]:
     """Return a function that makes instances of a slotted dataclass without validation, from positional values.
 
-    It takes the fields in the order of their declaration and is faster than `make_unchecked`: use it on hot paths.
+    It takes the fields in the order of their declaration, without defaults, and is faster than `make_unchecked`: use it on hot
+    paths.
 
     Args:
         cls: a dataclass with ``slots=True``.
 
     Returns:
-        The function; it raises ValueError unless it gets one value for each field.
+        The function; it raises TypeError unless it gets one value for each field.
     """
-    new = object.__new__
-    setters = [getattr(cls, name).__set__ for name in cls.__dict__["__slots__"]]
-
-    def make(*values: object) -> T:
-        record = new(cls)
-        for set_field, value in zip(setters, values, strict=True):
-            set_field(record, value)
-        return record
-
+    names: tuple[str, ...] = cls.__dict__["__slots__"]
+    setters = {f"_set_{name}": getattr(cls, name).__set__ for name in names}
+    # As `dataclass` and `namedtuple` do it: a loop over the fields takes more than twice the time.
+    lines = [f"def make({', '.join(names)}):", " _record = _new(_cls)", *(f" _set_{name}(_record, {name})" for name in names)]
+    scope: dict[str, Any] = {"_new": object.__new__, "_cls": cls, **setters}
+    exec("\n".join([*lines, " return _record"]), scope)
+    make: Callable[..., T] = scope["make"]
     return make

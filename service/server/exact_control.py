@@ -15,8 +15,10 @@ import numpy as np
 
 from graspforce.control import Command, ContactConditions, ControlMemory, GraspState
 from graspforce.control.grasp_control import GraspControl, PreparedChange
+from graspforce.core.compiled import native
 from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
+from graspforce.service.wire.binary_command import AnyCommand, BinaryCommand
 from graspforce.service.wire.change_records import ContactChangeRecord, NumberedChange
 from graspforce.service.wire.command_records import ClearanceRecord, CommandRecord
 from graspforce.service.wire.control_records import StreamSetup
@@ -43,6 +45,7 @@ class ExactControl:
         self._control = GraspControl.start(setup.grasp, setup.settings, setup.memory)
         self._hand = setup.grasp.hand
         self._has_drive = not self._hand.drives.is_ideal
+        self._has_heat = self._hand.drives.has_thermal_data
         self._clearance_steps = setup.settings.clearance_steps
         self._number, self._refused = setup.change_number, 0
         self._preparation: _Preparation | None = None
@@ -60,7 +63,12 @@ class ExactControl:
         """
         return StreamState.decode(self._hand, payload, codec)
 
-    def step(self, state: StreamState) -> CommandRecord:
+    @property
+    def _is_plain(self) -> bool:
+        """Whether commands have no parts beside those of `BinaryCommand`."""
+        return not (self._has_drive or self._has_changes or self._clearance_steps or self._has_heat)
+
+    def step(self, state: StreamState) -> AnyCommand:
         """Return the command for a state.
 
         Args:
@@ -81,12 +89,17 @@ class ExactControl:
         check_finite(command, control.memory)
         if number != self._number:
             self._number, self._preparation = number, None
+        self._control = control.without_released(measured)
+        record = BinaryCommand.pack(command, control.memory) if state.binary and self._is_plain else None
+        return record or self._full_record(command, control, state, number)
+
+    def _full_record(self, command: Command, control: GraspControl, state: StreamState, number: int) -> CommandRecord:
+        """Return the record of a command with all its parts."""
         record = CommandRecord.pack(command, control.memory, state.binary, self._has_drive)
         record.clearance = ClearanceRecord.pack(command, self._clearance_steps, state.sequence)
         if self._has_changes:
             refused = self._refused or None
             record.contact_change = ContactChangeRecord(number, control.grasp.fingers, control.is_changing, refused)
-        self._control = control.without_released(measured)
         return record
 
     def _request(self, given: NumberedChange, state: GraspState) -> None:
@@ -155,7 +168,11 @@ def check_finite(command: Command, memory: ControlMemory) -> None:
     Raises:
         InvalidInput: a number is not finite, because the state has too large numbers.
     """
-    if not math.isfinite(sum(command.tau.tolist()) + sum(memory.integral.tolist())):
+    if native is not None:
+        is_finite = native.has_finite_sum(command.tau, memory.integral)
+    else:
+        is_finite = math.isfinite(sum(command.tau.tolist()) + sum(memory.integral.tolist()))
+    if not is_finite:
         raise InvalidInput("state", "too large numbers", "of a magnitude that gives finite torques")
 
 

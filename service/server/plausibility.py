@@ -25,10 +25,12 @@ import numpy.typing as npt
 
 from graspforce.control import GraspState
 from graspforce.core.arrays import Array
+from graspforce.core.compiled import native
 from graspforce.core.errors import InvalidInput
 from graspforce.estimation.measurement import Measurement
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.hand import Hand
+from graspforce.service.wire.stream_state import STACKED_NUMBERS
 
 _POSITION_MARGIN = 0.1  # rad
 _RATE_FACTOR = 3.0  # largest measured rate over the limit of the rate; measured rates are noisy
@@ -39,7 +41,6 @@ _LONGEST_GAP = 0.01  # s between two states that adds to their change
 _OBJECT_SPEED, _OBJECT_RATE = 5.0, 50.0  # m/s, rad/s: of a measured twist
 _LASTING = 0.05  # s, after which a jump is accepted
 _TRUE_BYTE = b"\1"  # NumPy's True in memory
-_OBJECT_NUMBERS = 18  # position, rotation and twist
 _SAMPLES = 256  # postures from which the reach is computed
 _REACH_FACTOR = 1.1  # for the postures between them
 _UNKNOWN_POSITION, _UNKNOWN_MOTION = np.full(3, math.nan), np.full(15, math.nan)
@@ -79,6 +80,7 @@ class StateGuard:
         is_bounded = np.isfinite(self._upper)
         lower, upper = np.where(is_bounded, self._lower, 0.0), np.where(is_bounded, self._upper, 0.0)
         self._middle, self._half = 0.5 * (lower + upper), np.where(is_bounded, 0.5 * (upper - lower), math.inf)
+        self._rules = np.array([self._middle, self._half, self._jump, self._speed])
         self._last: tuple[Array, float, float] | None = None  # accepted state, its time and when it was received, s
         self._jumped: tuple[Array, float, float] | None = None  # last state after a jump that is not accepted yet
         self._jumped_since = 0.0  # when its first state was received, s
@@ -97,10 +99,12 @@ class StateGuard:
         if len(state.q) != self._n or (state.v is not None and len(state.v) != self._n):
             return  # the control law names the array
         x = _stack(state)
+        given = x, time, received
+        if self._accept(given):
+            return
         outside = np.abs(x - self._middle) > self._half
         if _TRUE_BYTE in outside.tobytes():  # faster than any()
             raise self._error(x, state, outside, None)
-        given = x, time, received
         if self._last is not None and _TRUE_BYTE in (jumps := self._jumps(given, self._last)).tobytes():
             if self._jumped is None or _TRUE_BYTE in self._jumps(given, self._jumped).tobytes():
                 self._jumped_since = received
@@ -109,10 +113,23 @@ class StateGuard:
                 raise self._error(x, state, jumps, self._last[0])
         self._last, self._jumped = given, None
 
+    def _accept(self, given: tuple[Array, float, float]) -> bool:
+        """Accept a plausible state in compiled code; otherwise return False, and `check` finds the broken rule."""
+        if native is None:
+            return False
+        last, dt = (None, 0.0) if self._last is None else (self._last[0], self._elapsed(given, self._last))
+        if not native.is_plausible_state(given[0], last, dt, self._rules):
+            return False
+        self._last, self._jumped = given, None
+        return True
+
+    def _elapsed(self, now: tuple[Array, float, float], last: tuple[Array, float, float]) -> float:
+        """Return the time between two states that adds to their change, s."""
+        return max(min(now[1] - last[1], now[2] - last[2] + self._validity, _LONGEST_GAP), 0.0)
+
     def _jumps(self, now: tuple[Array, float, float], last: tuple[Array, float, float]) -> npt.NDArray[np.bool_]:
         """Return which quantities changed by more than their rules allow."""
-        dt = max(min(now[1] - last[1], now[2] - last[2] + self._validity, _LONGEST_GAP), 0.0)  # s
-        return np.abs(now[0] - last[0]) > self._jump + dt * self._speed
+        return np.abs(now[0] - last[0]) > self._jump + self._elapsed(now, last) * self._speed
 
     def _error(
         self, x: Array, state: GraspState | Measurement, wrong: npt.NDArray[np.bool_], last: Array | None
@@ -153,8 +170,8 @@ def _stack(state: GraspState | Measurement) -> Array:
     """Return q, v, and position, rotation and twist of the object in one array; NaN for what is not measured."""
     if isinstance(state, GraspState):
         motion, shared = state.object, state.q.base
-        if isinstance(shared, np.ndarray) and motion.twist.base is shared:  # of the wire: all in one array, in this order
-            return shared[: 2 * len(state.q) + _OBJECT_NUMBERS]
+        if isinstance(shared, np.ndarray) and motion.twist.base is shared and STACKED_NUMBERS in (shared.dtype.names or ()):
+            return np.asarray(shared[STACKED_NUMBERS])  # of the wire: all in one block
         return np.concatenate((state.q, state.v, motion.p_HO, motion.R_HO.ravel(), motion.twist))
     v = np.full(len(state.q), math.nan) if state.v is None else state.v
     position = _UNKNOWN_POSITION if state.object is None else state.object.p_HO

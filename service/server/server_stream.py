@@ -23,6 +23,7 @@ from graspforce.service.server.server_load import client_label
 from graspforce.service.server.stream_heat import StreamHeat
 from graspforce.service.server.torque_step import TorqueStepLimit
 from graspforce.service.wire import protocol
+from graspforce.service.wire.binary_command import AnyCommand, BinaryCommand
 from graspforce.service.wire.command_records import ClearanceRecord, CommandRecord
 from graspforce.service.wire.control_records import ControlRequest, StreamSetup
 from graspforce.service.wire.estimate_record import EstimateRecord
@@ -189,7 +190,7 @@ class ServerStream:
         if self._guard is not None:
             self._guard.check(state.state, state.time, received)
         record = self._silent_context.run(self._control.step, state)
-        if self._torque_step is not None and isinstance(record, CommandRecord):
+        if self._torque_step is not None and isinstance(record, AnyCommand):
             self._torque_step.apply(record, state)
         if self._heat is not None and isinstance(record, CommandRecord):
             self._heat.apply(record, state)
@@ -198,7 +199,7 @@ class ServerStream:
         record.late = record.server_seconds > self.setup.validity
         self.late += record.late
         self.latency.observe(record.server_seconds)
-        return protocol.encode(record, codec)
+        return record.encode() if isinstance(record, BinaryCommand) else protocol.encode(record, codec)
 
 
 def _read_proofs(proof: object) -> list[str]:
@@ -213,7 +214,7 @@ class _Control(Protocol):
     def decode(self, payload: bytes, codec: str) -> Any:
         """Return a state, which has `sequence` and `time`."""
 
-    def step(self, state: Any) -> CommandRecord | PhaseCommandRecord | JointCommandRecord:
+    def step(self, state: Any) -> AnyCommand | PhaseCommandRecord | JointCommandRecord:
         """Return the command for a state."""
 
 

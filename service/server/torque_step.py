@@ -6,8 +6,10 @@ import numpy as np
 
 from graspforce.control.drives.drive_commands import DriveMap
 from graspforce.core.arrays import Array
+from graspforce.core.compiled import native
 from graspforce.estimation.measurement import Measurement
 from graspforce.grasp.grasp import Grasp
+from graspforce.service.wire.binary_command import AnyCommand
 from graspforce.service.wire.command_records import CommandRecord
 from graspforce.service.wire.memory_records import to_array
 from graspforce.service.wire.stream_state import StreamState
@@ -23,6 +25,13 @@ def largest_step(grasp: Grasp, fraction: float) -> Array:
     return fraction * 0.5 * (grasp.hand.torque_upper - grasp.hand.torque_lower)
 
 
+def _step_ratio(tau: Array | bytes, last: Array | bytes, step: Array) -> float:
+    """Return the largest change of a torque over its largest allowed one."""
+    if native is not None:
+        return float(native.torque_step_ratio(tau, last, step))
+    return float((np.abs(to_array(tau) - to_array(last)) / step).max())
+
+
 class TorqueStepLimit:
     """Limit of the torque's step between consecutive commands: on the straight line from the last torque to the new one.
 
@@ -35,24 +44,26 @@ class TorqueStepLimit:
 
     def __init__(self, grasp: Grasp, fraction: float) -> None:
         self._step, self._drives = largest_step(grasp, fraction), DriveMap(grasp.hand)
-        self._last: Array | None = None
+        self._last: Array | bytes | None = None  # torque of the last command, or the bytes of its numbers, N·m
 
-    def apply(self, record: CommandRecord, state: StreamState) -> None:
+    def apply(self, record: AnyCommand, state: StreamState) -> None:
         """Limit the torque of a command in place; a warning then names the remaining part of the step.
 
         Args:
             record: the command.
             state: the state that it answers.
         """
-        tau = to_array(record.torque)
+        given = record.torque
+        tau = to_array(given) if isinstance(given, list) else given
         if self._last is not None:
-            change = tau - self._last  # N·m
-            excess = float((np.abs(change) / self._step).max())
+            excess = _step_ratio(tau, self._last, self._step)
             if excess > 1.0:
-                tau = self._last + change / excess
-                record.torque = tau.tobytes() if isinstance(record.torque, bytes) else tau.tolist()
+                last = to_array(self._last)
+                tau = last + (to_array(tau) - last) / excess
+                record.torque = tau.tolist() if isinstance(given, list) else tau.tobytes()
                 record.warnings = (*record.warnings, f"torque step limited to 1/{excess:.3g} of the computed one")
-                self._limit_drives(record, tau, state)
+                if isinstance(record, CommandRecord):
+                    self._limit_drives(record, tau, state)
         self._last = tau
 
     def _limit_drives(self, record: CommandRecord, tau: Array, state: StreamState) -> None:

@@ -292,10 +292,11 @@ class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=Tr
             has_drive: whether it has the set-points of the drives and the guaranteed margin, which ideal drives do not need.
         """
         write = np.ndarray.tobytes if binary else np.ndarray.tolist
+        tips = memory.tip_contacts  # at the present contacts
         return cls(
             torque=write(command.tau),
             force=write(command.f),
-            positions=write(command.contacts.p_OC),
+            positions=write(command.contacts.p_OC if tips is None else tips.p_OC),
             wrench=write(command.w),
             acceleration=write(command.acceleration),
             joint_acceleration=write(command.joint_acceleration),

@@ -12,6 +12,7 @@ those of an earlier opening. A program that reads the network traffic can read t
 
 from __future__ import annotations
 
+import hashlib
 import hmac
 import secrets
 from collections import Counter
@@ -21,6 +22,7 @@ from graspforce.core.errors import InvalidInput
 STATE, COMMAND = b"S", b"C"  # directions
 FORGED, REPLAYED = "forged", "replayed"  # outcomes
 _KEY_BYTES, _COUNTER_BYTES, _CODE_BYTES = 32, 8, 16
+_BLOCK_BYTES = 64  # of SHA-256; the key is shorter
 
 
 def make_key() -> bytes:
@@ -56,6 +58,22 @@ def ownership_proof(key: bytes, id: str) -> str:
     return hmac.digest(key, b"owner" + id.encode(), "sha256").hex()
 
 
+class _MessageCode:
+    """Authentication codes of the messages in one direction: HMAC-SHA256 with the blocks of its key hashed once."""
+
+    def __init__(self, key: bytes, direction: bytes) -> None:
+        block = key.ljust(_BLOCK_BYTES, b"\0")
+        self._inner = hashlib.sha256(bytes(each ^ 0x36 for each in block) + direction)
+        self._outer = hashlib.sha256(bytes(each ^ 0x5C for each in block))
+
+    def __call__(self, counter: bytes, payload: bytes) -> bytes:
+        """Return the code of a message."""
+        inner, outer = self._inner.copy(), self._outer.copy()
+        inner.update(counter + payload)
+        outer.update(inner.digest())
+        return outer.digest()[:_CODE_BYTES]
+
+
 class MessageSigner:
     """Attachments of the messages in one direction. One thread at a time uses it.
 
@@ -65,7 +83,7 @@ class MessageSigner:
     """
 
     def __init__(self, key: bytes, direction: bytes) -> None:
-        self._key, self._direction, self._counter = key, direction, 0
+        self._code, self._counter = _MessageCode(key, direction), 0
 
     def sign(self, payload: bytes) -> bytes:
         """Return the attachment of the next message.
@@ -75,7 +93,7 @@ class MessageSigner:
         """
         self._counter += 1
         counter = self._counter.to_bytes(_COUNTER_BYTES, "little")
-        return counter + _code(self._key, self._direction, counter, payload)
+        return counter + self._code(counter, payload)
 
 
 class MessageVerifier:
@@ -90,7 +108,7 @@ class MessageVerifier:
     """
 
     def __init__(self, key: bytes, direction: bytes) -> None:
-        self._key, self._direction, self._last = key, direction, 0
+        self._code, self._last = _MessageCode(key, direction), 0
         self.refused: Counter[str] = Counter()
 
     def accept(self, payload: bytes, attachment: bytes) -> bool:
@@ -101,7 +119,7 @@ class MessageVerifier:
             attachment: its attachment; empty for none.
         """
         counter, code = attachment[:_COUNTER_BYTES], attachment[_COUNTER_BYTES:]
-        if not hmac.compare_digest(code, _code(self._key, self._direction, counter, payload)):
+        if not hmac.compare_digest(code, self._code(counter, payload)):
             self.refused[FORGED] += 1
             return False
         number = int.from_bytes(counter, "little")
@@ -110,8 +128,3 @@ class MessageVerifier:
             return False
         self._last = number
         return True
-
-
-def _code(key: bytes, direction: bytes, counter: bytes, payload: bytes) -> bytes:
-    """Return the authentication code of a message."""
-    return hmac.digest(key, direction + counter + payload, "sha256")[:_CODE_BYTES]

@@ -3,8 +3,9 @@
 In JSON, arrays are lists. In MessagePack each array is a list, or binary: its float64 numbers, little-endian, by rows. If
 `posture` is binary, the arrays of the command are binary too. Binary arrays avoid a Python object for each number.
 
-Decoding exact states has a fast path: typed structs, and one check of all numbers together. A state that fails there is read
-again by `StreamState.from_dict`, which names the invalid field. Measurements are always read there.
+Decoding exact states has fast paths: compiled code for MessagePack with the fields in their order, and typed structs. Both
+check all numbers together. A state that fails there is read again by `StreamState.from_dict`, which names the invalid field.
+Measurements are always read there.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from graspforce.control import DesiredMotion, GraspMotion, GraspState, desired_f
 from graspforce.control.contacts.contact_conditions import ContactConditions
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
+from graspforce.core.compiled import native
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import unchecked_constructor
@@ -35,11 +37,11 @@ V = TypeVar("V")  # wire type of a vector
 M = TypeVar("M")  # wire type of a matrix
 _ZEROS = arrays.freeze(np.zeros(6))
 _FLOAT_BYTES = 8  # bytes of a float64
-# Shapes of the arrays that follow posture and velocity: position, rotation and twist of the object; the desired position,
-# rotation, twist and acceleration.
 # Shapes of binary matrices by name; other binary arrays are vectors.
 _MATRIX_SHAPES = {"rotation": (3, 3), "covariance": (6, 6), "tip_wrenches": (-1, 6), "contact_points": (-1, 3)}
-_MOTION_SHAPES = ((3,), (3, 3), (6,), (3,), (3, 3), (6,), (6,))
+_OBJECT_NUMBERS = 18  # position, rotation and twist of the object
+STACKED_NUMBERS = "measured"
+"""Field of the block of a state: joint positions and rates, and position, rotation and twist of the object."""
 
 
 class StreamState(msgspec.Struct, frozen=True, eq=False):
@@ -81,7 +83,7 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
             InvalidInput: a field is missing, unknown or out of range; names it with its path.
         """
         try:
-            return _decode_fast(_STATE_DECODERS[codec].decode(payload), hand)
+            return _decode_fast(payload, codec, hand)
         except (msgspec.MsgspecError, ValueError, TypeError, RecursionError):  # ValueError: ragged lists, and InvalidInput
             return cls.from_dict(hand, protocol.decode(payload, codec))
 
@@ -194,13 +196,25 @@ _make_grasp_state = unchecked_constructor(GraspState)
 _make_grasp_motion = unchecked_constructor(GraspMotion)
 
 
-def _decode_fast(record: _StateRecord[Any, Any], hand: Hand) -> StreamState:
-    """Return the state of a hand. Its arrays are views of one array, which is checked once.
+def _decode_fast(payload: bytes, codec: str, hand: Hand) -> StreamState:
+    """Return an exact state. Its arrays are views of one block, whose numbers are checked once.
 
     Raises:
         ValueError: a number, a shape or a rotation is wrong.
-        TypeError: lists and binary arrays are mixed.
+        TypeError: a number is no float.
     """
+    if native is not None and codec == protocol.MSGPACK:
+        found = native.read_stream_state(payload, hand.n)
+        if found is not None:
+            sequence, time, flags, numbers = found
+            binary, has_joints = bool(flags & native.STATE_BINARY), bool(flags & native.STATE_JOINTS)
+            state, desired, wrench = _view_block(hand.n, has_joints, bool(flags & native.STATE_EXTERNAL), numbers)
+            return StreamState(sequence, time, state, desired, wrench, None, binary)
+    return _state_of(_STATE_DECODERS[codec].decode(payload), hand)
+
+
+def _state_of(record: _StateRecord[Any, Any], hand: Hand) -> StreamState:
+    """Return the state of a record. Raises ValueError and TypeError as `_decode_fast`."""
     measured, pose = record.state, record.state.object
     motion, joints, external = record.desired, record.desired.joints, record.external
     parts: tuple[Any, ...] = (
@@ -211,34 +225,44 @@ def _decode_fast(record: _StateRecord[Any, Any], hand: Hand) -> StreamState:
         parts = (*parts, joints.posture, joints.velocity, joints.acceleration)
     if external is not None:
         parts = (*parts, external)
-    binary, n = type(measured.posture) is bytes, hand.n
-    shapes, lengths = _part_shapes(n, joints is not None, external is not None)
-    if not binary:
-        parts = tuple(map(_to_bytes, parts, shapes))
-    if tuple(map(len, parts)) != lengths:
-        raise ValueError("an array has the wrong size")
-    x = np.frombuffer(b"".join(parts))
-    numbers = x.tolist()
-    # The sum is finite only if all numbers are, and costs less than np.isfinite. If it overflows, the slow path decides.
-    if not (math.isfinite(sum(numbers) + record.time) and 0 <= record.sequence <= protocol.LARGEST_SEQUENCE):
+    n, has_joints, has_external = hand.n, joints is not None, external is not None
+    shapes = _part_shapes(n, has_joints, has_external)
+    join = _join_parts if native is None else native.join_stream_state
+    numbers = join(parts, shapes, n)
+    if numbers is None or not (math.isfinite(record.time) and 0 <= record.sequence <= protocol.LARGEST_SEQUENCE):
         raise ValueError("a number is not finite, or out of range")
-    m = 2 * n
-    if not (arrays.is_rotation(numbers[m + 3 : m + 12]) and arrays.is_rotation(numbers[m + 21 : m + 30])):
-        raise ValueError("a matrix is not a rotation")
-    now = _make_motion(x[m : m + 3], x[m + 3 : m + 12].reshape(3, 3), x[m + 12 : m + 18], _ZEROS)
-    desired: DesiredMotion = _make_motion(
-        x[m + 18 : m + 21], x[m + 21 : m + 30].reshape(3, 3), x[m + 30 : m + 36], x[m + 36 : m + 42]
-    )
-    if joints is not None:
-        q, v, a = x[m + 42 : m + 42 + 3 * n].reshape(3, n)
-        desired = _make_grasp_motion(desired, q, v, a)
-    wrench = None if external is None else x[-6:]
-    state = _make_grasp_state(x[:n], x[n:m], now)
+    state, desired, wrench = _view_block(n, has_joints, has_external, numbers)
+    binary = type(measured.posture) is bytes
     if record.conditions is None and record.contacts is None:
         return StreamState(record.sequence, record.time, state, desired, wrench, None, binary)
     conditions, fingers = _read_conditions(record.conditions)
     change = _read_change(record.contacts, hand)
     return StreamState(record.sequence, record.time, state, desired, wrench, conditions, binary, change, fingers)
+
+
+def _join_parts(parts: tuple[Any, ...], shapes: tuple[tuple[int, int], ...], n: int) -> bytes | None:
+    """Return the float64 numbers of a state's arrays; None if one is not finite, or a matrix is no rotation.
+
+    Raises:
+        ValueError: an array has the wrong shape.
+    """
+    joined = b"".join(map(_to_bytes, parts, shapes))
+    numbers = np.frombuffer(joined).tolist()
+    # The sum is finite only if all numbers are. If it overflows, the slow path decides.
+    is_valid = math.isfinite(sum(numbers)) and all(
+        arrays.is_rotation(numbers[start : start + 9]) for start in (2 * n + 3, 2 * n + 21)
+    )
+    return joined if is_valid else None
+
+
+def _view_block(n: int, has_joints: bool, has_external: bool, numbers: bytes) -> tuple[GraspState, DesiredMotion, Array | None]:
+    """Return the state, the desired motion and the external wrench of checked numbers."""
+    block = np.ndarray((), _block_dtype(n, has_joints, has_external), numbers)
+    now = _make_motion(block["p_HO"], block["R_HO"], block["twist"], _ZEROS)
+    desired: DesiredMotion = _make_motion(block["p_d"], block["R_d"], block["twist_d"], block["acceleration_d"])
+    if has_joints:
+        desired = _make_grasp_motion(desired, block["q_d"], block["v_d"], block["a_d"])
+    return _make_grasp_state(block["q"], block["v"], now), desired, block["external"] if has_external else None
 
 
 def _read_conditions(record: object) -> tuple[ContactConditions | None, tuple[str, ...] | None]:
@@ -266,21 +290,52 @@ def _conditions_to_dict(state: StreamState) -> JsonRecord | None:
     return {**state.conditions.to_dict(), **({} if state.fingers is None else {"fingers": list(state.fingers)})}
 
 
+def _block_fields(n: int, joints: bool, external: bool) -> list[tuple[str, tuple[int, ...]]]:
+    """Return the names and shapes of a state's arrays in their order on the wire, for a hand with n joints."""
+    motion = [("p_d", (3,)), ("R_d", (3, 3)), ("twist_d", (6,)), ("acceleration_d", (6,))]
+    shapes: list[tuple[str, tuple[int, ...]]] = [("q", (n,)), ("v", (n,)), ("p_HO", (3,)), ("R_HO", (3, 3)), ("twist", (6,))]
+    shapes += motion
+    shapes += [(name, (n,)) for name in ("q_d", "v_d", "a_d")] if joints else []
+    return [*shapes, ("external", (6,))] if external else shapes
+
+
 @cache
-def _part_shapes(n: int, joints: bool, external: bool) -> tuple[tuple[tuple[int, ...], ...], tuple[int, ...]]:
-    """Return the shapes and byte counts of a state's arrays for a hand with n joints."""
-    shapes = ((n,), (n,), *_MOTION_SHAPES, *([(n,)] * 3 if joints else []), *([(6,)] if external else []))
-    return shapes, tuple(_FLOAT_BYTES * math.prod(shape) for shape in shapes)
+def _part_shapes(n: int, joints: bool, external: bool) -> tuple[tuple[int, int], ...]:
+    """Return rows and columns of a state's arrays; a vector has one row."""
+    return tuple((1 if len(shape) == 1 else shape[0], shape[-1]) for _, shape in _block_fields(n, joints, external))
 
 
-def _to_bytes(values: Any, shape: tuple[int, ...]) -> bytes:
-    """Return the float64 bytes of a list of the given shape; a binary array stays as it is."""
+@cache
+def _block_dtype(n: int, joints: bool, external: bool) -> np.dtype[np.void]:
+    """Return the layout of a state's numbers. Its field `STACKED_NUMBERS` overlaps the five arrays that were measured."""
+    given = _block_fields(n, joints, external)
+    sizes = [_FLOAT_BYTES * math.prod(shape) for _, shape in given]
+    return np.dtype(
+        {
+            "names": [STACKED_NUMBERS, *(name for name, _ in given)],
+            "formats": [("f8", (2 * n + _OBJECT_NUMBERS,)), *(("f8", shape) for _, shape in given)],
+            "offsets": [0, *(sum(sizes[:i]) for i in range(len(sizes)))],
+            "itemsize": sum(sizes),
+        }
+    )
+
+
+def _to_bytes(values: Any, shape: tuple[int, int]) -> bytes:
+    """Return the float64 bytes of an array: bytes, or a list, with a list for each row of a matrix.
+
+    Raises:
+        ValueError: it has another shape.
+    """
     if type(values) is bytes:
-        return values
-    numbers = np.array(values, dtype=np.float64)
-    if numbers.shape != shape:
-        raise ValueError("an array has the wrong shape")
-    return numbers.tobytes()
+        joined = values
+    else:
+        numbers = np.array(values, dtype=np.float64)
+        if numbers.shape not in (shape, shape[1:]) or (numbers.ndim == 2 and shape[0] == 1):
+            raise ValueError("an array has the wrong shape")
+        joined = numbers.tobytes()
+    if len(joined) != _FLOAT_BYTES * math.prod(shape):
+        raise ValueError("an array has the wrong size")
+    return joined
 
 
 def _to_binary_record(state: StreamState) -> _StateRecord[bytes, bytes]:

@@ -18,6 +18,7 @@ SHORT = {  # options of the short form, and a text that its output must contain
     "min_time_path": (["--rounds", "1"], "| three fingers and an object | 200 |"),
     "import_time": (["--rounds", "1"], "after NumPy: met"),
     "control_stream": (["--rounds", "1"], "times the bare echo"),
+    "stream_overhead": (["--rounds", "1"], "MessagePack, binary arrays, all fields"),
     "soak": (["--seconds", "3"], "Without an answer: 0."),
     "robust": (["--samples", "100", "--steps", "5"], "against closed forms"),
     "ros2_stream": (["--seconds", "1", "--corpus", "20", "--port", "0"], "20 of 20 joint states from the library and 20 of 20"),

@@ -1,7 +1,9 @@
 /* The Python module graspforce.core._native: contact kinematics, contact poses and their fusion with measured poses,
- * contact forces, slip, friction, payload, a filter of joints, motions of bodies, joint accelerations, joint friction, and the type ControlStep.
+ * contact forces, slip, friction, payload, a filter of joints, motions of bodies, joint accelerations, joint friction, states of control
+ * streams, and the type ControlStep.
  *
- * Functions take keyword arguments: float64 arrays, and the arrays that they write. The module keeps no state. */
+ * Functions take keyword arguments: float64 arrays, and the arrays that they write. Those of control streams, which must be quickest,
+ * take positional ones. The module keeps no state. */
 #include "body_motion_function.inc"
 #include "contact_forces_function.inc"
 #include "contact_pose_function.inc"
@@ -11,6 +13,9 @@
 #include "payload_function.inc"
 #include "pose_fusion_function.inc"
 #include "slip_function.inc"
+#include "stream_check_functions.inc"
+#include "stream_command_function.inc"
+#include "stream_state_function.inc"
 
 /* Copy row i of an array. */
 static void gf_read_vector(const Py_buffer *view, Py_ssize_t i, gf_vector3 x)
@@ -267,9 +272,18 @@ static PyMethodDef functions[] = {
     {"friction_layout", gf_py_friction_layout, METH_VARARGS, friction_layout_doc},
     {"friction_result_layout", gf_py_friction_result_layout, METH_VARARGS, friction_result_layout_doc},
     {"friction_step", (PyCFunction)(void (*)(void))gf_py_friction_step, METH_FASTCALL | METH_KEYWORDS, friction_step_doc},
+    {"read_stream_state", (PyCFunction)(void (*)(void))gf_py_read_stream_state, METH_FASTCALL, read_stream_state_doc},
+    {"join_stream_state", (PyCFunction)(void (*)(void))gf_py_join_stream_state, METH_FASTCALL, join_stream_state_doc},
+    {"write_stream_command", gf_py_write_stream_command, METH_VARARGS, write_stream_command_doc},
+    {"is_plausible_state", (PyCFunction)(void (*)(void))gf_py_is_plausible_state, METH_FASTCALL, is_plausible_state_doc},
+    {"torque_step_ratio", (PyCFunction)(void (*)(void))gf_py_torque_step_ratio, METH_FASTCALL, torque_step_ratio_doc},
+    {"has_finite_sum", (PyCFunction)(void (*)(void))gf_py_has_finite_sum, METH_FASTCALL, has_finite_sum_doc},
+    {"slip_margins", (PyCFunction)(void (*)(void))gf_py_slip_margins, METH_FASTCALL, slip_margins_doc},
     {NULL, NULL, 0, NULL},
 };
-static PyModuleDef_Slot slots[] = {{Py_mod_exec, (void *)gf_py_add_step_type}, {0, NULL}};
+static PyModuleDef_Slot slots[] = {{Py_mod_exec, (void *)gf_py_add_step_type},
+                                   {Py_mod_exec, (void *)gf_py_add_state_flags},
+                                   {0, NULL}};
 static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, .m_name = "_native", .m_size = 0, .m_methods = functions,
                                         .m_slots = slots};
 
