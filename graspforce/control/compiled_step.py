@@ -15,7 +15,7 @@ import numpy as np
 from graspforce.contact.compiled_kinematics import contacts_from_block, primitive_parameters
 from graspforce.contact.kinematics import RollingContacts, TipContactState
 from graspforce.control.contacts.contact_constraints import ContactConstraints
-from graspforce.control.contacts.mobility import NO_TWISTS, SPIN_DAMPING_START, Accelerations
+from graspforce.control.contacts.mobility import NO_TWISTS, SPIN_COMPLIANCE_START, SPIN_DAMPING_START, Accelerations
 from graspforce.control.contacts.pad_spin import spin_acceleration
 from graspforce.control.memory import ControlMemory
 from graspforce.control.settings import ControlSettings
@@ -60,6 +60,8 @@ def step_parameters(
         "rank_tolerance": settings.rank_tolerance,
         "spin_damping": constraints.spin_damping,
         "spin_damping_start": SPIN_DAMPING_START,
+        "spin_compliance": constraints.spin_compliance,
+        "spin_compliance_start": SPIN_COMPLIANCE_START,
         "period": settings.period,
         "creep_decay": creep_decay,
         "creep_limit": settings.creep_limit,

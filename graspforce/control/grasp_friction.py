@@ -8,6 +8,7 @@ import numpy as np
 
 from graspforce.contact.motion import BodyMotion
 from graspforce.control.contacts.contact_constraints import ContactConstraints
+from graspforce.control.contacts.mobility import MassFactor, ObjectCompliance
 from graspforce.control.friction.compiled_friction import CompiledFriction
 from graspforce.control.friction.disturbance_observer import hold_integral
 from graspforce.control.friction.friction_compensation import (
@@ -43,8 +44,9 @@ class GraspFriction:
         self._kp, self._kd, _ = settings.gains.rows()
         self._damping, self._tolerance = settings.rank_tolerance**2, friction.rest_tolerance
         self._rest_steps = round(friction.rest_time / settings.period)
+        self._compliance = ObjectCompliance(MassFactor.from_body(grasp.body).mobility, constraints.spin_compliance)
         self._compiled: CompiledFriction | None = None
-        if native is not None:
+        if native is not None and constraints.spin_compliance == 0.0:
             self._compiled = CompiledFriction(self._compensation, self._kp, self._kd, self._damping)
 
     def compensate(
@@ -91,6 +93,9 @@ class GraspFriction:
         wanted = B @ twists.T
         wanted[:, 0] -= A @ v_d
         K = A @ A.T
+        if self._compliance.largest > 0.0:  # the object yields to its pads, see `contacts.mobility`
+            yielding = self._compliance.at(A) * (B @ self._compliance.mobility)
+            K += yielding @ yielding.T
         K.flat[:: len(K) + 1] += self._damping * K.trace() / len(K)  # singular contacts get no rate instead of a large one
         v, feedback = np.linalg.solve(K, wanted).T @ A
         return PlannedRates(v_d + v, feedback)

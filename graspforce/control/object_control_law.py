@@ -31,7 +31,14 @@ from graspforce.control.compiled_step import CompiledStep, CompiledTargets, step
 from graspforce.control.contacts.contact_conditions import ContactConditions
 from graspforce.control.contacts.contact_constraints import SPIN_DAMPING, ContactConstraints
 from graspforce.control.contacts.lost_drives import LostDrives
-from graspforce.control.contacts.mobility import MassFactor, compute_accelerations, compute_damped_accelerations, has_full_rank
+from graspforce.control.contacts.mobility import (
+    MassFactor,
+    ObjectCompliance,
+    compute_accelerations,
+    compute_compliant_accelerations,
+    compute_damped_accelerations,
+    has_full_rank,
+)
 from graspforce.control.contacts.pad_spin import next_spin, spin_acceleration
 from graspforce.control.drive_learning import DriveLearning
 from graspforce.control.drives.drive_commands import DriveMap
@@ -80,10 +87,13 @@ class ObjectControlLaw:
         self._constraints = ContactConstraints.from_contacts(grasp.contacts)
         self._tips = [hand.frame_id(name) for name in grasp.fingers]
         if self._constraints.spin_count > 0 and self._has_full_rank(settings.rank_tolerance):
-            self._constraints = dataclasses.replace(self._constraints, spin_damping=SPIN_DAMPING)
+            damping = 0.0 if settings.spin_compliance > 0.0 else SPIN_DAMPING  # m/rad
+            compliance = settings.spin_compliance
+            self._constraints = dataclasses.replace(self._constraints, spin_damping=damping, spin_compliance=compliance)
         self._gains = tuple(settings.gains.rows())  # kp, kd and ki
         self._max_posture_pull = _max_posture_pull(hand, settings)
         self._M_factor = MassFactor.from_body(grasp.body)
+        self._compliance = ObjectCompliance(self._M_factor.mobility, self._constraints.spin_compliance)
         self._creep_decay = math.exp(-settings.period / settings.creep_time)
         self._drives = DriveMap(hand, settings.position_error, settings.period)
         self._learning = DriveLearning(grasp, settings, self._constraints)
@@ -221,7 +231,7 @@ class ObjectControlLaw:
         command = make_lazy_command(source, result, forces.solution, f, tuple(warnings), forces_reused)
         last_forces = memory.f if forces_reused else f
         spin = None
-        if self._constraints.spin_damping > 0.0:
+        if self._constraints.is_tracking_spin:
             spin = next_spin(memory.spin, memory.tip_contacts, targets.tip_contacts, targets.R_OC, self.settings.period)
         margin = self._planner.kept_margin(plan, forces)
         parts = last_forces, targets.tip_contacts, friction_memory, plan.reflex, stop, ramp, spin, margin, factors
@@ -288,11 +298,13 @@ class ObjectControlLaw:
         A, B, beta = constraints.constraint_rows(rolling, None if memory.spin is None else spin_acceleration(memory.spin))
         rates = np.array([a_H[:3], a_H[3:], measured.twist[3:], settings.gravity_H]) @ measured.R_HO  # p̈, ω̇, ω and g in O
         inputs, accelerations = (A, B, beta, rates[:2].flatten(), posture), None
-        if constraints.spin_damping > 0.0:
+        if constraints.spin_compliance > 0.0:
+            accelerations = compute_compliant_accelerations(*inputs, self._compliance, settings.rank_tolerance)
+        elif constraints.spin_damping > 0.0:
             accelerations = compute_damped_accelerations(*inputs, constraints.damping, settings.rank_tolerance)
         if accelerations is None:
             accelerations = compute_accelerations(*inputs, self._M_factor, settings.rank_tolerance)
-        if accelerations.Q is not None:
+        if accelerations.object_acceleration is not inputs[3]:
             rates[:2] = accelerations.object_acceleration.reshape(2, 3)
             a_H = _rotate_twist(accelerations.object_acceleration, measured.R_HO)
         uncontrollable_error = None

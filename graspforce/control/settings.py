@@ -118,6 +118,8 @@ class ControlSettings:
         clearance_steps: in streams, the commands of states whose sequence number this divides contain `Command.clearance`; 0
             for none.
         obstacles: bodies at rest in H, such as a table, whose distance counts in `Command.clearance`.
+        spin_compliance: ℓ₀ of `contacts.mobility`, by which the object yields where fingers cannot follow the spin of their
+            soft pads, m/rad. With 0 the object follows exactly, and the pads spin and creep.
 
     Raises:
         InvalidInput: a value is out of range; names the field and the allowed values.
@@ -146,6 +148,7 @@ class ControlSettings:
     reflex_time: float = 5.0
     clearance_steps: int = 0
     obstacles: tuple[Obstacle, ...] = ()
+    spin_compliance: float = 0.0
 
     if TYPE_CHECKING:  # the constructor accepts more types than the fields have
 
@@ -174,11 +177,12 @@ class ControlSettings:
             reflex_time: float = ...,
             clearance_steps: int = ...,
             obstacles: Sequence[Obstacle] = ...,
+            spin_compliance: float = ...,
         ) -> None: ...
 
     def __post_init__(self) -> None:
         not_negative = ("slip_margin", "friction_reserve", "force_weight", "posture_stiffness", "posture_damping")
-        errors = ("friction_error", "mass_error", "contact_error", "position_error", "reflex_squeeze")
+        errors = ("friction_error", "mass_error", "contact_error", "position_error", "reflex_squeeze", "spin_compliance")
         for name in (*not_negative, "integral_limit_linear", "integral_limit_angular", *errors):
             set_fields(self, **{name: arrays.check_number(getattr(self, name), name, minimum=0.0)})
         for name in ("period", "creep_limit", "creep_time", "contact_tolerance", "rank_tolerance", "reflex_time"):
@@ -205,6 +209,7 @@ class ControlSettings:
         The loop contains the joint filter of `GraspEstimator`. The posture's stiffness and damping are reduced to half of the
         rate of the gains, and the tolerances of the hold at rest are raised to four standard deviations of the motion that
         sensor noise causes. The error of joint positions is at least three standard deviations of the estimated ones.
+        Objects yield to soft pads by 10 mm/rad, with compensated joint friction by 30 mm/rad, unless the base states a value.
 
         Args:
             sensors: rate, latency and noise of the joints' sensors.
@@ -242,6 +247,7 @@ class ControlSettings:
             posture_damping=damping,
             friction=friction,
             position_error=max(base.position_error, _POSITION_DEVIATIONS * margins.estimate_noise),
+            spin_compliance=base.spin_compliance or (_SPIN_COMPLIANCE if friction is None else _STIFF_SPIN_COMPLIANCE),
         )
         return SensorSettings(settings, margins)
 
@@ -331,6 +337,7 @@ _LATER = {
     "reflex_time": 5.0,
     "clearance_steps": 0,
     "obstacles": (),
+    "spin_compliance": 0.0,
 }
 
 
@@ -354,6 +361,7 @@ def _targets_for(drives: Drives) -> LoopTargets:
 
 _DRIVE_INTEGRAL = 15.0  # 1/s
 _MAX_CLEARANCE_STEPS = 10**6
+_SPIN_COMPLIANCE, _STIFF_SPIN_COMPLIANCE = 0.01, 0.03  # m/rad; joints with friction move less
 _POSITION_DEVIATIONS = 3.0  # standard deviations that count as the largest error
 _LEVER = 0.1  # m: length of a finger, from joint motions to motions of the object
 

@@ -20,7 +20,7 @@ from support.c_controllers import (
     random_records,
     run_loop,
 )
-from support.control_grasps import named_grasp
+from support.control_grasps import named_grasp, soft_box_grasp
 
 from graspforce import Contact, ContactSet
 from graspforce.control import ControlSettings, FrictionSettings, write_controller
@@ -70,6 +70,19 @@ def test_soft_pads_that_spin_equal_python(tmp_path: Path, library: list[Path]) -
     torques, report = run_loop(build_loop(tmp_path, "control_loop.c", grasp, library), records, grasp.hand.n)
     expected, commands = python_torques(grasp, records)
     assert ".spin_damping = 0.014" in (tmp_path / "grasp_controller.c").read_text()
+    assert report.split() == ["full", "100"]
+    assert all(command.solution.found for command in commands)
+    np.testing.assert_allclose(torques, expected, rtol=0.0, atol=TOLERANCE)
+
+
+def test_objects_that_yield_to_soft_pads_equal_python(tmp_path: Path, library: list[Path]) -> None:
+    """Close to a loss of rank, the object yields; further away it does not."""
+    grasp, settings = soft_box_grasp(), ControlSettings(spin_compliance=0.01)
+    records = random_records(grasp, 100, seed=4, scale=0.2)
+    program = build_loop(tmp_path, "control_loop.c", grasp, library, settings=settings)
+    torques, report = run_loop(program, records, grasp.hand.n)
+    expected, commands = python_torques(grasp, records, settings)
+    assert ".spin_compliance = 0.01" in (tmp_path / "grasp_controller.c").read_text()
     assert report.split() == ["full", "100"]
     assert all(command.solution.found for command in commands)
     np.testing.assert_allclose(torques, expected, rtol=0.0, atol=TOLERANCE)

@@ -10,7 +10,8 @@ joints.
 
 Fingers with four joints can follow spins, but not near all postures. Their spin rows are damped there: the pads twist or slide
 a little about their normals instead. Afterwards they turn back, so that the fingers return to their posture
-(`graspforce.control.contacts.pad_spin`).
+(`graspforce.control.contacts.pad_spin`). With `ControlSettings.spin_compliance`, the object yields there instead, and the pads
+stay where they are.
 """
 
 from __future__ import annotations
@@ -37,12 +38,14 @@ class ContactConstraints:
         spin_contacts: indices of the contacts whose spin is constrained; None if there are none.
         contact_index: (r,) contact of each row, spins last.
         spin_damping: λ₀, damping of the spin rows, m/rad; see `graspforce.control.contacts.mobility`.
+        spin_compliance: ℓ₀ of an object that yields instead, m/rad; 0 for one that does not.
     """
 
     point_rows: npt.NDArray[np.bool_] | None
     spin_contacts: npt.NDArray[np.intp] | None
     contact_index: npt.NDArray[np.intp]
     spin_damping: float = 0.0
+    spin_compliance: float = 0.0
 
     @classmethod
     def from_contacts(cls, contacts: ContactSet) -> ContactConstraints:
@@ -90,6 +93,11 @@ class ContactConstraints:
     def row_units(self) -> Array:
         """(r,) contact force or moment per constraint force of each row: 1, and 30 mm for spins."""
         return np.repeat([1.0, SPIN_ARM], [len(self.contact_index) - self.spin_count, self.spin_count])
+
+    @property
+    def is_tracking_spin(self) -> bool:
+        """Whether the memory holds the spins of the pads, which are taken back."""
+        return self.spin_damping > 0.0 or self.spin_compliance > 0.0
 
     @property
     def damping(self) -> Array:

@@ -12,7 +12,19 @@ diagonal for these rows and 0 for the others, which stay exact. With σ² = 1/tr
 singular value, λ = λ₀ (1 − σ²/σ₀²) if σ < σ₀, otherwise 0. The pads then twist or slide a little about their normals where
 the fingers cannot follow a spin, and the object stays controllable.
 
-Source: Nakamura and Hanafusa (1986) damp all rows in this way.
+Pads that spin creep along their tangential forces, and friction has no moment left against a further spin. Where that matters
+more than the motion of the object, the object yields instead, gradually, as it does where the rank is lost. Among all
+accelerations that keep the contacts, those are used that minimise
+
+    (a − a_d)ᵀ M (a − a_d)/m + ℓ² ‖q̈ − posture‖²
+
+for the commanded a_d and the object's mass matrix M and mass m. With N = √m L⁻ᵀ, M = L Lᵀ and Y = B N they are
+
+    ν = (A Aᵀ + ℓ² Y Yᵀ)⁻¹ (B a_d + β − A posture),   q̈ = posture + Aᵀ ν,   a = a_d − ℓ² N Yᵀ ν,
+
+with ℓ = ℓ₀ (1 − σ²/σ₁²) if σ < σ₁, otherwise 0.
+
+Source: Nakamura and Hanafusa (1986) damp all rows in this way, but let no object yield.
 """
 
 from __future__ import annotations
@@ -29,6 +41,8 @@ from graspforce.grasp.body import Body
 
 _CONSTRAINT_RANK_TOLERANCE = 1e-6  # relative to the largest singular value, of the constraints on the object
 SPIN_DAMPING_START = 0.00225  # m/rad: σ₀
+SPIN_COMPLIANCE_START = 0.006  # m/rad: σ₁
+_COMPLIANT_TOLERANCE = 0.1  # of the rank tolerance: where the object yields, it bounds the joint accelerations
 # Relative: the acceleration does not follow weaker constraints. They give way to slip of micrometres, while their violation by
 # the noise of measurements would be divided by their size.
 _WEAK_CONSTRAINT = 0.01
@@ -49,6 +63,11 @@ class MassFactor:
     factor: Array
     inverse: Array
 
+    @property
+    def mobility(self) -> Array:
+        """(6, 6) N = √m L⁻ᵀ, where m is the mass; see the module."""
+        return np.asarray(self.factor[0, 0] * self.inverse.T)
+
     @classmethod
     def from_body(cls, body: Body) -> MassFactor:
         """Return the factor of a body's mass matrix about O, in O's axes.
@@ -58,6 +77,27 @@ class MassFactor:
         """
         L = body.mass_matrix_factor()
         return cls(L, freeze(solve_triangular(L, np.eye(6), lower=True, check_finite=False)))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ObjectCompliance:
+    """How far an object yields to soft pads near a loss of rank; see the module.
+
+    Attributes:
+        mobility: (6, 6) N = √m L⁻ᵀ of the object.
+        largest: ℓ₀, m/rad.
+    """
+
+    mobility: Array
+    largest: float
+
+    def at(self, A: Array) -> float:
+        """Return ℓ, m/rad; 0 far from a loss of rank.
+
+        Args:
+            A: (r, n) map from joint rates to constrained velocities, m/rad.
+        """
+        return self.largest * max(1.0 - _least_squared(A) / SPIN_COMPLIANCE_START**2, 0.0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -178,16 +218,45 @@ def compute_damped_accelerations(
         damping: (r,) λ₀ of each row, in the unit of A; zero for rows that stay exact.
         rank_tolerance: as in `compute_accelerations`.
     """
-    sigma = np.linalg.svd(A, compute_uv=False)
-    with np.errstate(divide="ignore"):
-        least = 1.0 / float(np.sum(sigma**-2.0)) if len(sigma) == len(A) else 0.0  # σ²
-    share = max(1.0 - least / SPIN_DAMPING_START**2, 0.0)
-    inverse = _inverse_factor(A, rank_tolerance, (share * damping) ** 2)
+    share = max(1.0 - _least_squared(A) / SPIN_DAMPING_START**2, 0.0)
+    inverse = _inverse_factor(A, rank_tolerance, np.diag((share * damping) ** 2))
     if inverse is None:
         return None
     residual = B @ object_acceleration + beta - A @ posture  # m/s²
     joint_acceleration = posture + (inverse @ (residual @ inverse)) @ A
     return Accelerations(object_acceleration, joint_acceleration, NO_TWISTS, None, None)
+
+
+def compute_compliant_accelerations(
+    A: Array,
+    B: Array,
+    beta: Array,
+    object_acceleration: Array,
+    posture: Array,
+    compliance: ObjectCompliance,
+    rank_tolerance: float,
+) -> Accelerations | None:
+    """Compute accelerations with an object that yields near a loss of rank; None if the rank may be lacking in spite of that.
+
+    Args:
+        A: as in `compute_accelerations`.
+        B: as in `compute_accelerations`.
+        beta: as in `compute_accelerations`.
+        object_acceleration: as in `compute_accelerations`.
+        posture: as in `compute_accelerations`.
+        compliance: of the object.
+        rank_tolerance: as in `compute_accelerations`.
+    """
+    size = compliance.at(A)
+    yielding = size * (B @ compliance.mobility)
+    tolerance = rank_tolerance * (_COMPLIANT_TOLERANCE if size > 0.0 else 1.0)
+    inverse = _inverse_factor(A, tolerance, yielding @ yielding.T)
+    if inverse is None:
+        return None
+    residual = B @ object_acceleration + beta - A @ posture  # m/s²
+    multipliers = inverse @ (residual @ inverse)
+    object_acceleration = object_acceleration - size * (compliance.mobility @ (multipliers @ yielding))
+    return Accelerations(object_acceleration, posture + multipliers @ A, NO_TWISTS, None, None)
 
 
 def has_full_rank(A: Array, rank_tolerance: float) -> bool:
@@ -219,11 +288,18 @@ def planned_rates(A: Array, B: Array, twist: Array, v: Array | None = None) -> A
     return np.asarray(v + np.linalg.solve(K, B @ twist - A @ v) @ A)
 
 
-def _inverse_factor(A: Array, rank_tolerance: float, squared_damping: Array | None = None) -> Array | None:
-    """Return V with V Vᵀ = (A Aᵀ + diag λ²)⁻¹, or None if A may lack full row rank."""
+def _least_squared(A: Array) -> float:
+    """Return σ² = 1/tr (A Aᵀ)⁻¹, at most the square of the least singular value; 0 without full row rank."""
+    sigma = np.linalg.svd(A, compute_uv=False)
+    with np.errstate(divide="ignore"):
+        return 1.0 / float(np.sum(sigma**-2.0)) if len(sigma) == len(A) else 0.0
+
+
+def _inverse_factor(A: Array, rank_tolerance: float, more: Array | None = None) -> Array | None:
+    """Return V with V Vᵀ = (A Aᵀ + more)⁻¹, or None if the sum may lack full rank."""
     K = A @ A.T
-    if squared_damping is not None:
-        K.flat[:: len(K) + 1] += squared_damping
+    if more is not None:
+        K += more
     U, failed = lapack.dpotrf(K)  # K = Uᵀ U; lower overhead than NumPy, and no threads unlike potri
     if failed:
         return None

@@ -141,6 +141,26 @@ static void gf_body_wrench(const gf_controlled_grasp *grasp, const double p_ddot
     for (int k = 0; k < 3; k++) w[3 + k] = torque[k] + gyroscopic[k] + moment[k];
 }
 
+/* Compute N with N Nᵀ = m M⁻¹, (6, 6), for the mass matrix M about O. An inertia that is not positive definite gives NaN.
+ *
+ * A wrench turns the object with √m L⁻ᵀ about its centre of mass, where L Lᵀ is the inertia; O moves along by p_OM × α. */
+static void gf_object_mobility(const gf_controlled_grasp *grasp, double *N)
+{
+    const double *I = grasp->inertia, root = sqrt(grasp->mass);
+    const double a = sqrt(I[0]), b = I[3] / a, c = I[6] / a, d = sqrt(I[4] - b * b), e = (I[7] - b * c) / d;
+    const double f = sqrt(I[8] - c * c - e * e);
+    const double columns[3][3] = {{root / a, 0.0, 0.0}, /* of √m L⁻ᵀ */
+                                  {-root * b / (a * d), root / d, 0.0},
+                                  {root * (b * e - c * d) / (a * d * f), -root * e / (d * f), root / f}};
+    memset(N, 0, 36 * sizeof(double));
+    for (int k = 0; k < 3; k++) {
+        gf_vector3 linear;
+        gf_cross(grasp->p_OM, columns[k], linear);
+        N[7 * k] = 1.0;
+        for (int i = 0; i < 3; i++) N[6 * i + 3 + k] = linear[i], N[6 * (3 + i) + 3 + k] = columns[k][i];
+    }
+}
+
 /* Compute the joint accelerations of the posture, rad/s²: a_d + damping (v_d − v) + stiffness (q_d − q), the last limited. */
 static void gf_posture_acceleration(const gf_controlled_grasp *grasp, const gf_step_inputs *inputs, double *posture)
 {
@@ -157,7 +177,7 @@ static void gf_posture_acceleration(const gf_controlled_grasp *grasp, const gf_s
 size_t gf_targets_work_size(const gf_controlled_grasp *grasp)
 {
     const size_t n = (size_t)grasp->motor_count, r = (size_t)grasp->constraint_count, joint_count = (size_t)grasp->joint_count;
-    return joint_count + 6 * (n + 2) + r * (n + 7) + r * (r + 1) + n;
+    return joint_count + 6 * (n + 2) + r * (n + 7) + r * (r + 7) + n;
 }
 
 int gf_compute_targets(const gf_controlled_grasp *grasp, const gf_step_inputs *inputs, double *work,
@@ -165,7 +185,7 @@ int gf_compute_targets(const gf_controlled_grasp *grasp, const gf_step_inputs *i
 {
     const int n = grasp->motor_count, r = grasp->constraint_count, *rows = grasp->constraint_rows;
     double *joint_rates = work, *rates = joint_rates + grasp->joint_count, *A = rates + 6 * (n + 2), *B = A + r * n;
-    double *beta = B + 6 * r, *K = beta + r, *posture = K + r * (r + 1);
+    double *beta = B + 6 * r, *K = beta + r, *posture = K + r * (r + 7);
     const gf_contacts *contacts = &targets->contacts;
     gf_object_acceleration(grasp, inputs, targets);
     gf_compute_contacts(grasp, inputs, joint_rates, rates, contacts);
@@ -180,10 +200,26 @@ int gf_compute_targets(const gf_controlled_grasp *grasp, const gf_step_inputs *i
         spin_count++;
         if (inputs->spin_acceleration != NULL) beta[i] += SPIN_ARM * inputs->spin_acceleration[rows[i] / 4];
     }
-    const gf_constraints constraints = {r, n, A, B, beta, spin_count, grasp->spin_damping, grasp->spin_damping_start};
-    const double *acceleration = targets->acceleration_O;
+    double mobility[36];
+    if (grasp->spin_compliance > 0.0) gf_object_mobility(grasp, mobility);
+    const gf_constraints constraints = {r,
+                                        n,
+                                        A,
+                                        B,
+                                        beta,
+                                        spin_count,
+                                        grasp->spin_damping,
+                                        grasp->spin_damping_start,
+                                        grasp->spin_compliance,
+                                        grasp->spin_compliance_start,
+                                        mobility};
+    double *acceleration = targets->acceleration_O;
     if (!gf_joint_accelerations(&constraints, acceleration, posture, grasp->rank_tolerance, K, targets->joint_acceleration))
         return 0;
+    if (grasp->spin_compliance > 0.0) { /* the object may yield */
+        gf_multiply(inputs->R_HO, acceleration, targets->acceleration_H);
+        gf_multiply(inputs->R_HO, acceleration + 3, targets->acceleration_H + 3);
+    }
 
     gf_vector3 p_ddot, omega, g;
     gf_multiply_transposed(inputs->R_HO, grasp->gravity_H, g);

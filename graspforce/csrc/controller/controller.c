@@ -291,6 +291,12 @@ static void gf_next_spin(const gf_controlled_grasp *g, int i, const gf_step_memo
     spin[1] = asin(sine) / g->period;
 }
 
+/* Return whether the memory holds the spins of soft pads. */
+static int gf_tracks_spin(const gf_controlled_grasp *g)
+{
+    return g->spin_damping > 0.0 || g->spin_compliance > 0.0;
+}
+
 /* Write the memory after a step. */
 static void gf_keep_memory(const gf_controller *c, const gf_step_memory *before, const gf_step_memory *after)
 {
@@ -303,7 +309,7 @@ static void gf_keep_memory(const gf_controller *c, const gf_step_memory *before,
     memcpy(after->p_OF, contacts->p_OF, 3 * N * number);
     memcpy(after->R_OF, contacts->R_OF, 9 * N * number);
     memcpy(after->p_OC, contacts->p_OC, 3 * N * number);
-    for (int i = 0; i < g->contact_count && c->step_count > 0 && g->spin_damping > 0.0; i++)
+    for (int i = 0; i < g->contact_count && c->step_count > 0 && gf_tracks_spin(g); i++)
         gf_next_spin(g, i, before, contacts, after->spin + 2 * i);
 }
 
@@ -349,7 +355,7 @@ gf_control_status gf_controller_step(gf_controller *c, const gf_control_inputs *
     if (status != GF_CONTROL_REUSED) memcpy(c->f, c->problem.f, (size_t)k * sizeof(double));
     memcpy(c->tau, c->result.tau, (size_t)n * sizeof(double));
     gf_keep_memory(c, before, after);
-    c->has_spin = g->spin_damping > 0.0;
+    c->has_spin = gf_tracks_spin(g);
     c->step_count = c->step_count == 1 ? 2 : 1;
     return gf_hold(c, out, status);
 }

@@ -212,13 +212,15 @@ static PyObject *gf_py_joint_accelerations(PyObject *module, PyObject *const *ar
         if ((inputs[i] = gf_view_contiguous(&held, values[i], specs[i])) == NULL) goto done;
     joint_acceleration = gf_view_block(&held, values[OUT_JOINT_ACCELERATION], names[OUT_JOINT_ACCELERATION], n, PyBUF_WRITABLE);
     if (joint_acceleration == NULL) goto done;
-    if ((work = PyMem_Malloc((size_t)(r * (r + 1)) * sizeof(double))) == NULL) {
+    if ((work = PyMem_Malloc((size_t)(r * (r + 7)) * sizeof(double))) == NULL) {
         PyErr_NoMemory();
         goto done;
     }
     const gf_constraints constraints = {(int)r, (int)n, .A = inputs[IN_A], .B = inputs[IN_B], .beta = inputs[IN_BETA]};
-    has_full_rank = gf_joint_accelerations(&constraints, inputs[IN_OBJECT_ACCELERATION], inputs[IN_POSTURE], rank_tolerance,
-                                           work, joint_acceleration);
+    double acceleration[6]; /* without compliance it stays as it is */
+    memcpy(acceleration, inputs[IN_OBJECT_ACCELERATION], sizeof acceleration);
+    has_full_rank = gf_joint_accelerations(&constraints, acceleration, inputs[IN_POSTURE], rank_tolerance, work,
+                                           joint_acceleration);
 done:
     PyMem_Free(work);
     gf_release_views(&held);

@@ -122,29 +122,33 @@ typedef struct {
 void gf_slip_displacement(const gf_tip_contact *last, const gf_real *p_OF, const gf_real *R_OF, const gf_real *R_OC,
                           gf_real slip[2]);
 
-/* Constraints A q̈ = B a + beta. The last rows may be damped near a loss of rank. */
+/* Constraints A q̈ = B a + beta. Near a loss of rank the last rows may be damped, or the object may yield. */
 typedef struct {
     int rows, motor_count;
     const gf_real *A, *B, *beta; /* (rows, motor_count), (rows, 6), (rows) */
     int damped_rows;
-    gf_real damping, damping_start; /* λ₀ and σ₀ in the unit of A, see gf_joint_accelerations() */
+    gf_real damping, damping_start;       /* λ₀ and σ₀ in the unit of A, see gf_joint_accelerations() */
+    gf_real compliance, compliance_start; /* ℓ₀ and σ₁ in the unit of A; ℓ₀ = 0 for an object that does not yield */
+    const gf_real *mobility;              /* (6, 6) N; not used without compliance */
 } gf_constraints;
 
-/* Compute the joint accelerations nearest to the posture's that keep the contacts:
+/* Compute the joint accelerations nearest to the posture's that keep the contacts, and the acceleration of the object:
  *
- *     q̈ = posture + Aᵀ (A Aᵀ + λ² S)⁻¹ (B a + beta − A posture)
+ *     ν = (A Aᵀ + λ² S + ℓ² B N Nᵀ Bᵀ)⁻¹ (B a_d + beta − A posture),  q̈ = posture + Aᵀ ν,  a = a_d − ℓ² N Nᵀ Bᵀ ν
  *
  * S is 1 on the diagonal for the damped rows, otherwise 0. With σ² = 1/tr (A Aᵀ)⁻¹, which is at most the square of the least
- * singular value, λ = λ₀ (1 − σ²/σ₀²) if there are damped rows and σ < σ₀, otherwise 0. Then Aᵀ (A Aᵀ)⁻¹ = A⁺.
- * Return 1, or 0 if A may lack full row rank; the output then is undefined. The reference implementation, for every rank, is
+ * singular value, λ = λ₀ (1 − σ²/σ₀²) if there are damped rows and σ < σ₀, otherwise 0. Likewise ℓ = ℓ₀ (1 − σ²/σ₁²) if
+ * σ < σ₁, otherwise 0. N Nᵀ is the inverse of the object's mass matrix times its mass. Far from a loss of rank,
+ * Aᵀ (A Aᵀ)⁻¹ = A⁺ and a = a_d.
+ * Return 1, or 0 if the rank may be lacking; q̈ then is undefined, and a is a_d. The reference implementation, for every rank, is
  * graspforce/control/contacts/mobility.py.
  *
- * object_acceleration  (6) a in O, m/s² and rad/s²
+ * object_acceleration  (6) a_d in O, m/s² and rad/s²; replaced by a
  * posture              (motor_count) joint accelerations without contacts, rad/s²
  * rank_tolerance       smallest ratio of singular values of A that counts as full rank
- * work                 rows (rows + 1) numbers
+ * work                 rows (rows + 7) numbers
  * joint_acceleration   (motor_count) written, rad/s² */
-int gf_joint_accelerations(const gf_constraints *constraints, const gf_real *object_acceleration, const gf_real *posture,
+int gf_joint_accelerations(const gf_constraints *constraints, gf_real *object_acceleration, const gf_real *posture,
                            gf_real rank_tolerance, gf_real *work, gf_real *joint_acceleration);
 
 #ifdef __cplusplus

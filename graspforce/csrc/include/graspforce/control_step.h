@@ -56,6 +56,13 @@ extern "C" {
     FIELD(contact_tolerance)    \
     FIELD(mass)
 
+/* Numbers of a grasp that are 0 unless its contacts are soft.
+ *
+ * spin_compliance, spin_compliance_start  ℓ₀ and σ₁ of the object, see gf_joint_accelerations(), m/rad */
+#define GF_SOFT_GRASP_NUMBERS(FIELD) \
+    FIELD(spin_compliance)           \
+    FIELD(spin_compliance_start)
+
 /* Arrays of a grasp and of the controller's settings.
  *
  * kp, kd, ki         gains on the pose error, 1/s², 1/s and 1/s³
@@ -102,6 +109,7 @@ typedef struct {
 #define GF_NUMBER(name)       gf_real name;
 #define GF_POINTER(name, ...) const gf_real *name;
     GF_GRASP_NUMBERS(GF_NUMBER)
+    GF_SOFT_GRASP_NUMBERS(GF_NUMBER)
     GF_GRASP_ARRAYS(GF_POINTER)
 #undef GF_POINTER
 #undef GF_NUMBER
