@@ -49,6 +49,7 @@ _FUNCTIONS = {
     "tendon": every_hand_kinds.compare_tendon,
     "breakaway": every_hand_kinds.open_breakaway,
     "jaws": every_hand_kinds.lift_with_jaws,
+    "power": every_hand_kinds.hold_power_grasp,
     "lint": every_hand_kinds.check_lint,
     "own": own_hand.record_transcript,
 }
@@ -86,6 +87,7 @@ def all_tasks(options: argparse.Namespace) -> list[Task]:
             *(("tendon", seed) for seed in every_hand_kinds.TENDON_SEEDS),
             ("breakaway",),
             *(("jaws", name) for name in OBJECTS),
+            *(("power", name) for name in every_hand_kinds.POWER_HANDS),
             ("lint",),
         ],
         "drives": [
@@ -129,7 +131,7 @@ def sections(tasks: list[Task], results: Results) -> list[str]:
     ]
     kinds = every_hand_kinds.rows(results)
     if kinds:
-        parts += ["## Wrists, tendons, jaws, lint", report_page.table(("what", "measured", "required"), kinds, 3)]
+        parts += ["## Wrists, tendons, jaws, inner links, lint", report_page.table(("what", "measured", "required"), kinds, 3)]
     parts += link_gaps.section({task[1:]: each for task, each in results.items() if task[0] == "gaps"})
     parts += every_hand_heat.sections(results)
     parts += own_hand.section([results[task] for task in tasks if task[0] == "own" and task in results])

@@ -1,4 +1,4 @@
-"""Parts of `benchmarks.every_hand` on kinds of hands: wrists, tendons, breakaways, jaws, and the corpus of lint."""
+"""Parts of `benchmarks.every_hand` on kinds of hands: wrists, tendons, breakaways, jaws, inner links, and lint."""
 
 from __future__ import annotations
 
@@ -21,16 +21,27 @@ from benchmarks.every_hand_drives import JAW_NOISE, MASS, OBJECTS, TORQUE_ERROR,
 from graspforce import GraspForceError, Hand
 from graspforce.contact.matrices import grasp_matrix
 from graspforce.contact.motion import BodyMotion
-from graspforce.control import ControlSettings, OutputFeedbackController
+from graspforce.control import ControlSettings, ObjectController, OutputFeedbackController, feasible_twists
 from graspforce.core.arrays import Array
 from graspforce.estimation import SensorModel
 from graspforce.force.problem import ForceProblem
 from graspforce.grasp.body import Body
-from graspforce.grasp.search import GraspSearchOptions, find_grasp
+from graspforce.grasp.search import GraspSearchOptions, find_grasp, find_link_grasp
 from graspforce.hand.drives.drive import Drive
 from graspforce.hand.lint.lint_hand import lint_hand
 from graspforce.hand.tendon_modes import balanced_actuation
-from graspforce.simulation import World, linear_reference, make_world_plant, simulate_measured
+from graspforce.simulation import (
+    Plant,
+    Push,
+    World,
+    build_scene,
+    compute_metrics,
+    constant_reference,
+    linear_reference,
+    make_world_plant,
+    simulate,
+    simulate_measured,
+)
 from graspforce.simulation.campaigns.outcome import judge_run
 
 WRIST_HANDS = ("allegro_right", "dlr_hit2")
@@ -39,6 +50,9 @@ TENDON_FINGERS = ("first", "middle", "ring", "thumb")
 TENDON_SEEDS = range(10)
 LIFT, LIFT_PERIOD = 0.05, 2.0  # m, s
 DOWNWARDS = (0.0, 0.0, 9.81)  # m/s²: the hand points downwards
+POWER_HANDS = ("allegro_right", "dlr_hit2")
+POWER_FRICTION, POWER_MARGIN, POWER_TIME = 0.6, 1.5, 10.0  # coefficient, N, s
+PUSH, PUSH_START, PUSH_TIME = np.array([1.0, 0.0, 0.0]), 1.0, 8.0  # N, twice the weight of the ball; s
 
 
 def compare_wrists(name: str) -> dict[str, Any]:
@@ -138,6 +152,32 @@ def lift_with_jaws(object_name: str) -> dict[str, Any]:
     return {"result": outcome.result, "lifted": float(np.ptp(run.truth.p_HO[:, 2])), "rms": rms}
 
 
+def hold_power_grasp(name: str) -> dict[str, Any]:
+    """Return the measured values of a ball that palm and inner links hold against a push.
+
+    Args:
+        name: name of a shipped hand.
+    """
+    body = Body.solid(OBJECTS["ball"], MASS)
+    grasp = find_link_grasp(Hand.load(name), body, "power", friction=POWER_FRICTION).as_grasp()
+    rest, settings = BodyMotion(grasp.p_HO, grasp.R_HO), ControlSettings(slip_margin=POWER_MARGIN)
+    plant = Plant(build_scene(grasp), disturbances=[Push(PUSH, PUSH_START, PUSH_TIME)])
+    first = ObjectController(grasp, settings).step(plant.reset(), rest)
+    controller = ObjectController(grasp, settings)
+    run = simulate(plant, controller, constant_reference(rest), POWER_TIME, initial_forces=first.f)
+    metrics = compute_metrics(run)
+    return {
+        "contacts": len(grasp.contacts),
+        "free": len(feasible_twists(grasp)),
+        "moved": metrics.position_error_peak,
+        "lost": metrics.lost_contact_steps,
+        "steps": len(run.t),
+        "certified": len(run.t) - metrics.reused_force_steps,
+        "force_error": float(np.abs(run.planned - run.f)[run.t < PUSH_START][..., 2].max()),
+        "largest": float(run.planned[..., 2].max()),
+    }
+
+
 def check_lint() -> dict[str, Any]:
     """Return how many faulty descriptions of the tests' corpus lint reports, and how many sound ones it passes."""
     reported = passed = 0
@@ -189,6 +229,16 @@ def rows(results: dict[tuple[Any, ...], dict[str, Any]]) -> list[tuple[str, ...]
         if (found := results.get(("jaws", name))) and "lifted" in found:
             figure = f"{found['result']}, lifted by {1e3 * found['lifted']:.1f} mm, {1e3 * found['rms']:.3f} mm RMS"
             table.append((f"jaws lift the {name} by {1e3 * LIFT:.0f} mm, torque constants 20 % wrong", figure, "held"))
+    for name in POWER_HANDS:
+        if (found := results.get(("power", name))) and "moved" in found:
+            what = (
+                f"power grasp of {name}, {found['contacts']} contacts, {found['free']} of 6 directions free: {POWER_TIME:g} s"
+            )
+            what += f" with a push of {np.linalg.norm(PUSH):g} N for {PUSH_TIME:g} s"
+            figure = f"moved by {1e3 * found['moved']:.3f} mm, {found['lost']} steps with a lost contact, "
+            figure += f"{found['certified']} of {found['steps']} steps certified, normal forces before the push as planned to "
+            figure += f"{1e3 * found['force_error']:.0f} mN of up to {found['largest']:.1f} N"
+            table.append((what, figure, "held"))
     if found := results.get(("lint",)):
         figure = f"{found['reported']} of {found['faulty']} reported, {found['passed']} of {found['sound']} sound ones passed"
         table.append(("lint: corpus of faulty and sound descriptions", figure, "60 and 12"))

@@ -18,7 +18,9 @@ from graspforce.core.errors import InvalidInput
 from graspforce.geometry import Box, Cylinder, Solid, Sphere, Superquadric, TriangleMesh
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
-from graspforce.grasp.search import GraspSearchOptions, find_grasp
+from graspforce.grasp.link_grasp import LinkGrasp
+from graspforce.grasp.search import GraspSearchOptions, find_grasp, find_link_grasp
+from graspforce.grasp.search.grasp_class import ENVELOPING_CLASSES
 from graspforce.hand.hand import Hand
 from graspforce.problems import objects
 
@@ -40,6 +42,7 @@ class GraspOptions:
         gravity: x, y, z in H, separated by commas, m/s².
         seed: random seed of the grasp search.
         drive: one drive for all joints, as for `parse_drive` (default: those of the hand's description).
+        requirements: class of the grasp and pads (default: any class, and the pads of the hand's description).
 
     Attributes:
         hand, body, mu, gravity_H: the parsed values.
@@ -57,6 +60,7 @@ class GraspOptions:
     gravity: str
     seed: int
     drive: str | None = None
+    requirements: GraspSearchOptions = field(default_factory=GraspSearchOptions)
     hand: Hand = field(init=False, repr=False)
     body: Body = field(init=False, repr=False)
     mu: float = field(init=False, repr=False)
@@ -78,7 +82,7 @@ class GraspOptions:
 
         Args:
             console: where the progress and the grasp are printed.
-            options: of the search.
+            options: of the search (default: `requirements`).
 
         Raises:
             InvalidInput: no grasp was found, or a value is not allowed.
@@ -86,13 +90,43 @@ class GraspOptions:
         """
         hand_name, object_name = self.hand.name, self.object_name
         fingers = None if self.fingers is None else self.fingers.split(",")
+        options = self.requirements if options is None else options
         with console.status(f"Searching a grasp of the {object_name} with {hand_name}"):
-            grasp = find_grasp(
-                self.hand, self.body, fingers, friction=self.mu, gravity_H=self.gravity_H, seed=self.seed, options=options
-            )
+            if is_enveloping(options):
+                grasp = self.search_links(options, self.gravity_H).as_grasp()
+            else:
+                common: dict[str, Any] = {"friction": self.mu, "gravity_H": self.gravity_H, "seed": self.seed}
+                grasp = find_grasp(self.hand, self.body, fingers, **common, options=options)
         weight = f"{1e3 * self.body.mass:.0f} g, μ = {self.mu:g}"
         console.print(f"[bold]{hand_name}[/] holds the [bold]{object_name}[/] ({weight}) with {', '.join(grasp.fingers)}.")
         return grasp
+
+    def search_links(self, options: GraspSearchOptions, gravity_H: Array) -> LinkGrasp:
+        """Search a grasp with contacts on inner links or the palm.
+
+        Args:
+            options: of the search, with an enveloping class.
+            gravity_H: (3,) or (K, 3) accelerations of gravity in H, m/s².
+
+        Raises:
+            InvalidInput: no grasp was found, or an option is given that this search does not have.
+        """
+        name = getattr(options.grasp_class, "value", options.grasp_class)
+        given = (self.fingers, "--fingers"), (options.approach_O, "--approach"), (options.up_O, "--table")
+        for value, option in given:
+            if value is not None:
+                raise InvalidInput(option, value, f"absent for the class {name}")
+        common: dict[str, Any] = {"friction": self.mu, "gravity_H": gravity_H, "seed": self.seed}
+        return find_link_grasp(self.hand, self.body, name, **common, options=options)
+
+
+def is_enveloping(options: GraspSearchOptions) -> bool:
+    """Return whether a search is one for contacts on inner links or the palm.
+
+    Args:
+        options: of the search.
+    """
+    return getattr(options.grasp_class, "value", options.grasp_class) in ENVELOPING_CLASSES
 
 
 @dataclass(frozen=True, slots=True)

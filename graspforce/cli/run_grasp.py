@@ -12,7 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from graspforce.cli.json_output import put_result
-from graspforce.cli.options import GraspOptions, parse_vector
+from graspforce.cli.options import GraspOptions, is_enveloping, parse_vector
 from graspforce.cli.output_files import check_new_file, check_new_folder
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
@@ -25,8 +25,7 @@ from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.link_grasp import LinkGrasp
 from graspforce.grasp.posture_files import load_postures
 from graspforce.grasp.posture_repair import PostureOptions
-from graspforce.grasp.search import GraspClass, GraspSearchOptions, find_grasps, find_link_grasp
-from graspforce.grasp.search.grasp_class import ENVELOPING_CLASSES
+from graspforce.grasp.search import GraspSearchOptions, find_grasps
 from graspforce.grasp.search.options import GraspSearchProgress
 
 _AXES = "xyz"
@@ -149,23 +148,15 @@ def _grasps(options: GraspCommandOptions, console: Console) -> Sequence[Grasp | 
     """Return the grasps of the search, or of the file of postures."""
     if options.postures is not None:
         return _from_file(options, options.postures, console)
-    if isinstance(options.search.grasp_class, GraspClass) and options.search.grasp_class.value in ENVELOPING_CLASSES:
-        return [_search_links(options, options.search.grasp_class, console)]
+    if is_enveloping(options.search):
+        return [_search_links(options, console)]
     return _search(options, console)
 
 
-def _search_links(options: GraspCommandOptions, grasp_class: GraspClass, console: Console) -> LinkGrasp:
+def _search_links(options: GraspCommandOptions, console: Console) -> LinkGrasp:
     """Search a grasp with contacts on inner links or the palm, with a progress bar."""
-    given = options.grasp
-    for value, option in (
-        (given.fingers, "--fingers"),
-        (options.search.approach_O, "--approach"),
-        (options.search.up_O, "--table"),
-    ):
-        if value is not None:
-            raise InvalidInput(option, value, f"absent for the class {grasp_class.value}")
     if options.count != 1:
-        raise InvalidInput("--count", options.count, f"1 for the class {grasp_class.value}; other seeds find other grasps")
+        raise InvalidInput("--count", options.count, "1 for this class; other seeds find other grasps")
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("Closing fingers", total=None)
@@ -175,15 +166,7 @@ def _search_links(options: GraspCommandOptions, grasp_class: GraspClass, console
             bar.update(task, total=progress.largest, completed=progress.tried, description=text)
             return True
 
-        return find_link_grasp(
-            given.hand,
-            given.body,
-            grasp_class,
-            friction=given.mu,
-            gravity_H=options.gravities,
-            seed=given.seed,
-            options=replace(options.search, callback=on_progress),
-        )
+        return options.grasp.search_links(replace(options.search, callback=on_progress), options.gravities)
 
 
 def _write(grasp: Grasp | LinkGrasp, worst: Solution, output: GraspOutput, suffix: str, console: Console) -> None:

@@ -10,23 +10,25 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from scipy.spatial.transform import Rotation
 
 from graspforce import simulation
 from graspforce.cli.heat_tables import heat_record, heat_table
 from graspforce.cli.interruption import Interruption
 from graspforce.cli.json_output import put_result
 from graspforce.cli.live_view import live_view
-from graspforce.cli.options import GraspOptions
+from graspforce.cli.options import GraspOptions, is_enveloping
 from graspforce.cli.output_files import check_new_file, check_new_folder
 from graspforce.cli.step_callbacks import FilmOptions, StepCallback, film_callback, progress_bar, viewer_callback
 from graspforce.cli.stream_controller import StreamController
 from graspforce.contact.motion import BodyMotion
-from graspforce.control import ControlSettings, ObjectController
+from graspforce.control import ControlSettings, ObjectController, feasible_twists, object_motion
 from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import relax_idle_fingers
+from graspforce.hand.contact_tips import has_contact_tips
 from graspforce.hand.heat import report_heat
 from graspforce.service import DEFAULT_VALIDITY, Client, start_server_process
 from graspforce.simulation import ControllerCommand, Plant, PlantInterface, Recording, Reference, Scene, World
@@ -41,6 +43,8 @@ VIEWS = ("window", "browser")
 LOCKSTEP_VALIDITY = 0.2  # s: in lockstep the plant waits for each command, so that commands do not age
 _SERVICE_TIMEOUT = 5.0  # s: a new service imports and compiles before its first answer
 _MAX_WARNINGS = 5  # shown
+_REFERENCE_SAMPLES = 25  # instants of a motion that is checked against the contacts
+_LARGEST_SLIP, _LEVER = 1e-4, 0.03  # m: slip in a motion that the contacts do not allow, at this distance from O
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,10 +167,13 @@ def run(options: SimulateOptions, output: SimulateOutput, console: Console, serv
         ServiceError: the service is missing or does not serve the hand.
     """
     pushes = [_parse_push(push) for push in options.pushes]
+    if service is not None and is_enveloping(options.grasp.requirements):
+        allowed = "a class of fingertips with a service: streams take no contacts on inner links or the palm"
+        name = getattr(options.grasp.requirements.grasp_class, "value", None)
+        raise InvalidInput("--class", name, allowed)
     with ExitStack() as stack:
         client = None if service is None else stack.enter_context(connect_service(service, options.grasp.hand_name, console))
-        grasp = relax_idle_fingers(options.grasp.search(console))
-        check_reference(options, grasp)
+        grasp = start_grasp(options, console)
         gravity_H, tips = options.grasp.gravity_H, fields.check_choice(options.tips, "tips", TIP_GEOMETRIES)
         scene = simulation.build_scene(grasp, gravity_H=gravity_H, tip_geometry=tips, directories=options.meshes)
         plant = Plant(scene, disturbances=pushes)
@@ -212,6 +219,23 @@ def run(options: SimulateOptions, output: SimulateOutput, console: Console, serv
     record = {"hand": recording.hand, "is_held": is_held, "metrics": metrics, "warnings": recording.warnings}
     put_result(console, {**record, **heat})
     return is_held
+
+
+def start_grasp(options: SimulateOptions, console: Console) -> Grasp:
+    """Return the grasp in which a simulation starts, and check that its contacts allow the reference motion.
+
+    Args:
+        options: the simulation.
+        console: shows the grasp.
+
+    Raises:
+        InvalidInput: no grasp was found, or the motion is not possible in it.
+    """
+    grasp = options.grasp.search(console)
+    if not has_contact_tips(grasp.hand, grasp.fingers):
+        grasp = relax_idle_fingers(grasp)
+    check_reference(options, grasp)
+    return grasp
 
 
 def show_heat(recording: Recording, grasp: Grasp, console: Console) -> JsonRecord:
@@ -290,13 +314,29 @@ def check_reference(options: SimulateOptions, grasp: Grasp) -> None:
     """Refuse a motion that the fingers cannot follow.
 
     Raises:
-        InvalidInput: names the first finger and instant.
+        InvalidInput: names the first finger and instant, or says which motions contacts on inner links and the palm allow.
     """
+    if has_contact_tips(grasp.hand, grasp.fingers):
+        _check_feasible(options, grasp)
+        return
     found = find_unreachable(grasp, make_reference(options, grasp), options.duration)
     if found is not None:
         field, value = ("--travel", options.travel) if any(options.travel) else ("--turn", options.turn)
         allowed = f"a motion within reach of the fingers: at {found[0]:.2f} s {found[1]} cannot follow its contact"
         raise InvalidInput(field, ",".join(f"{x:g}" for x in value), allowed)
+
+
+def _check_feasible(options: SimulateOptions, grasp: Grasp) -> None:
+    """Refuse a motion that contacts on inner links and the palm do not allow."""
+    reference, allowed = make_reference(options, grasp), feasible_twists(grasp)
+    for t in np.linspace(0.0, options.duration, _REFERENCE_SAMPLES):
+        motion = object_motion(reference(float(t)))
+        turn = Rotation.from_matrix(motion.R_HO @ grasp.R_HO.T).as_rotvec()
+        change = np.append(motion.p_HO - grasp.p_HO, turn)
+        missing = change - allowed.T @ (allowed @ change)
+        if np.linalg.norm(missing[:3]) > _LARGEST_SLIP or np.linalg.norm(missing[3:]) * _LEVER > _LARGEST_SLIP:
+            text = f"still: the contacts with {', '.join(grasp.fingers)} allow {len(allowed)} of 6 directions, and not this one"
+            raise InvalidInput("--reference", options.reference, text)
 
 
 def summary_table(recording: Recording, remote_controller: StreamController | None = None) -> Table:

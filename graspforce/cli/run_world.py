@@ -17,9 +17,9 @@ from graspforce.cli.live_view import live_view
 from graspforce.cli.run_simulation import (
     SimulateOptions,
     SimulateOutput,
-    check_reference,
     make_reference,
     show_heat,
+    start_grasp,
     write_mcap,
 )
 from graspforce.cli.step_callbacks import FilmOptions, StepCallback, film_callback, progress_bar, viewer_callback
@@ -27,7 +27,6 @@ from graspforce.cli.world_options import WorldOptions
 from graspforce.core import fields
 from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
-from graspforce.grasp.search import relax_idle_fingers
 from graspforce.simulation import (
     ControllerCommand,
     ExactController,
@@ -102,8 +101,7 @@ def run(
     has_film = output.view is not None or output.video is not None or output.frames is not None
     if runner.plant == "urdf" and (has_film or options.tips != "ball"):
         raise InvalidInput("--plant", "urdf", "links with --view, --video, --frames or --tips mesh")
-    grasp = relax_idle_fingers(options.grasp.search(console))
-    check_reference(options, grasp)
+    grasp = start_grasp(options, console)
     world = world_options.world(world_options.seed, float(grasp.hand.torque_upper.min()), options.pushes)
     console.print(world_table(world))
     plant_options = world.plant_options(grasp, options.grasp.gravity_H)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from graspforce.control.command import Command
 from graspforce.control.contacts.contact_change import ContactChange
 from graspforce.control.contacts.contact_conditions import ContactConditions
+from graspforce.control.contacts.feasible_twists import feasible_twists
 from graspforce.control.controller_source import write_controller
 from graspforce.control.friction.friction_compensation import FrictionSettings, friction_slip_margin
 from graspforce.control.memory import ControlMemory
@@ -52,6 +53,7 @@ __all__ = [
     "SensorSettings",
     "check_joint_count",
     "desired_from_dict",
+    "feasible_twists",
     "friction_slip_margin",
     "object_motion",
     "settings_for_errors",

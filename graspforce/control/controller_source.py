@@ -13,6 +13,7 @@ from graspforce.control.settings import ControlSettings
 from graspforce.core.c_tables import c_array, c_list, c_number, check_identifier
 from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
+from graspforce.hand.contact_tips import check_fingertips
 from graspforce.hand.model_source import write_hand_source
 
 _DEFAULTS = ControlSettings()
@@ -39,10 +40,11 @@ def write_controller(
         Paths of the controller's header and source, and of the hand's header and source.
 
     Raises:
-        InvalidInput: the name is no C identifier, the surface of the object has no closed form, or the settings compensate
-            joint friction, which the C controller does not.
+        InvalidInput: the name is no C identifier, the surface of the object has no closed form, the settings compensate joint
+            friction, which the C controller does not, or a contact is not at a fingertip.
     """
     check_identifier(name, "name")
+    check_fingertips(grasp.hand, grasp.fingers, "C controllers")
     if settings.friction is not None:
         raise InvalidInput("settings.friction", settings.friction, "None: the C controller does not compensate joint friction")
     if primitive_parameters(grasp.body.shape) is None:

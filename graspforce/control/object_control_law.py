@@ -30,6 +30,7 @@ from graspforce.control.command import Command, CommandSource, make_lazy_command
 from graspforce.control.compiled_step import CompiledStep, CompiledTargets, step_parameters
 from graspforce.control.contacts.contact_conditions import ContactConditions
 from graspforce.control.contacts.contact_constraints import SPIN_DAMPING, ContactConstraints
+from graspforce.control.contacts.feasible_twists import contacts_at_rest
 from graspforce.control.contacts.lost_drives import LostDrives
 from graspforce.control.contacts.mobility import (
     MassFactor,
@@ -145,11 +146,7 @@ class ObjectControlLaw:
 
     def _has_full_rank(self, rank_tolerance: float) -> bool:
         """Return whether every motion of the object is feasible in the posture of the grasp, with contacts that do not spin."""
-        grasp = self.grasp
-        tips = grasp.hand.model.tip_motion(grasp.q, np.zeros(grasp.hand.n), self._tips)
-        start, frames = BodyMotion(grasp.p_HO, grasp.R_HO), grasp.contacts.R_OC
-        rolling = rolling_contacts(tips, self._radii, start, grasp.body.shape, grasp.contacts, frames)
-        return has_full_rank(self._constraints.constraint_rows(rolling)[0], rank_tolerance)
+        return has_full_rank(self._constraints.constraint_rows(contacts_at_rest(self.grasp))[0], rank_tolerance)
 
     def _constraints_with(self, lost: LostDrives | None) -> ContactConstraints:
         """Return the constraints of the contacts whose fingers have their drives."""

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
-import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -13,23 +11,20 @@ import numpy.typing as npt
 
 from graspforce.contact.closure import is_force_closed
 from graspforce.contact.contact import Contact, ContactModel, ContactSet
-from graspforce.core import arrays, fields, json_text
+from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput, UnknownName
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
 from graspforce.core.text_table import Table
-from graspforce.core.whole_file import write_text
 from graspforce.geometry import ImplicitSurface
-from graspforce.geometry.poses import pose_from_dict, pose_to_dict
 from graspforce.grasp.body import Body
 from graspforce.grasp.hand_contacts import HandContacts
+from graspforce.hand.contact_tips import check_fingertips
 from graspforce.hand.hand import Hand
 
 if TYPE_CHECKING:
     from graspforce.grasp.posture_repair import PostureOptions
-
-SCHEMA = "graspforce/grasp/1"  # of the file that `Grasp.save` writes
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -49,6 +44,9 @@ class Grasp(HandContacts):
         InvalidInput: names the field and what is allowed.
         UnknownName: the hand has no finger of that name.
     """
+
+    schema = "graspforce/grasp/1"
+    contact_key = "finger"
 
     hand: Hand
     body: Body
@@ -87,6 +85,17 @@ class Grasp(HandContacts):
     def links(self) -> tuple[str, ...]:
         """At each contact the finger whose tip touches: `fingers`."""
         return self.fingers
+
+    @classmethod
+    def check_names(cls, hand: Hand, names: Collection[str], field: str) -> None:
+        """Check that a hand has the fingers of a list of contact records; see `check_contact_fingers`.
+
+        Args:
+            hand: the hand.
+            names: name of the finger at each contact.
+            field: path of the list of contacts, for error messages.
+        """
+        check_contact_fingers(hand, names, field)
 
     def __repr__(self) -> str:
         return f"<Grasp: {self.hand.name}, {', '.join(self.fingers)}, {self.body.mass:.4g} kg>"
@@ -148,75 +157,15 @@ class Grasp(HandContacts):
             raise InvalidInput("q", posture, "a posture that holds the object: " + "; ".join(faults))
         return cls(hand, body, found.fingers, contacts, found.q, place, axes)
 
-    @classmethod
-    def from_dict(cls, record: object, hand: Hand, field: str = "grasp") -> Grasp:
-        """Return the grasp of a record.
-
-        Args:
-            record: mapping with `body`, `contacts` (each with its `finger`), `posture` (rad) and `object` (the pose in H).
-            hand: the hand, which the record does not contain.
-            field: path of the record, for error messages.
-
-        Raises:
-            InvalidInput: a field is missing, unknown or out of range; names it with its path.
-            UnknownName: the hand has no finger of that name.
-        """
-        values = fields.check_record(record, field, required=["body", "contacts", "posture", "object"])
-        body = Body.from_dict(values["body"], f"{field}.body")
-        contacts, fingers = contacts_from_dicts(values["contacts"], f"{field}.contacts")
-        check_contact_fingers(hand, fingers, f"{field}.contacts")
-        q = arrays.check_array(values["posture"], f"{field}.posture", (hand.n,))
-        p_HO, R_HO, _ = pose_from_dict(values["object"], f"{field}.object")
-        try:
-            return cls(hand, body, fingers, ContactSet.stack(contacts), q, p_HO, R_HO)
-        except InvalidInput as error:
-            raise error.with_prefix(field) from None
-
     def to_dict(self) -> JsonRecord:
         """Return the record of the grasp, without its hand.
 
         Raises:
-            InvalidInput: the body's shape is an implicit surface, whose function cannot be saved or sent.
+            InvalidInput: a contact is not at a fingertip: save the `LinkGrasp` instead. Or the body's shape is an implicit
+                surface, whose function cannot be saved or sent.
         """
-        return {
-            "body": self.body.to_dict(),
-            "contacts": contacts_to_dicts(self.contacts.contacts, self.fingers),
-            "posture": self.q.tolist(),
-            "object": pose_to_dict(self.p_HO, self.R_HO),
-        }
-
-    @classmethod
-    def load(cls, path: str | os.PathLike[str], hand: Hand | None = None) -> Grasp:
-        """Return the grasp of a file that `save` wrote.
-
-        Args:
-            path: the file.
-            hand: the hand; by default it is loaded by the name in the file.
-
-        Raises:
-            InvalidInput: not such a file, a field is out of range, or the grasp is of another hand.
-            UnknownName: the hand in the file does not ship with graspforce, and `hand` is not given.
-            OSError: the file cannot be read.
-        """
-        record = fields.check_record(json_text.read(path), "", required=["schema", "hand", "grasp"])
-        fields.check_choice(record["schema"], "schema", [SCHEMA])
-        name = fields.check_text(record["hand"], "hand")
-        if hand is not None and hand.name != name:
-            raise InvalidInput("hand", hand.name, f"{name}, the hand of the grasp in {path}")
-        return cls.from_dict(record["grasp"], Hand.load(name) if hand is None else hand)
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the grasp to a JSON file, with the name of its hand.
-
-        Args:
-            path: the file; an existing file is replaced.
-
-        Raises:
-            InvalidInput: the body's shape is an implicit surface, whose function cannot be saved.
-            OSError: the file cannot be written.
-        """
-        record = {"schema": SCHEMA, "hand": self.hand.name, "grasp": self.to_dict()}
-        write_text(path, json.dumps(record) + "\n")
+        check_fingertips(self.hand, self.fingers, "files and streams of a Grasp")
+        return HandContacts.to_dict(self)
 
     def with_pads(self) -> Grasp:
         """Return the grasp with the contact models of the fingers' pads.
@@ -276,35 +225,6 @@ def pad_contact(hand: Hand, finger: str, contact: Contact) -> Contact:
     gamma = hand.finger(finger).torsional_friction
     model = ContactModel.POINT if gamma is None else ContactModel.SOFT
     return replace(contact, model=model, torsional_friction=gamma)
-
-
-def contacts_from_dicts(records: object, field: str) -> tuple[tuple[Contact, ...], tuple[str, ...]]:
-    """Return the contacts in O, and the name of the finger at each, of a list of records.
-
-    Args:
-        records: list of mappings, each the record of a `Contact` with its `finger`.
-        field: path of the list, for error messages.
-
-    Raises:
-        InvalidInput: a field is missing, unknown or out of range; names it with its path.
-    """
-    contacts, fingers = [], []
-    for i, item in enumerate(fields.check_sequence(records, field, at_least=1)):
-        contact_fields = item if isinstance(item, Mapping) else ()  # Contact.from_dict checks them
-        record = fields.check_record(item, f"{field}[{i}]", required=["finger"], optional=contact_fields)
-        fingers.append(fields.check_text(record.pop("finger"), f"{field}[{i}].finger"))
-        contacts.append(Contact.from_dict(record, f"{field}[{i}]"))
-    return tuple(contacts), tuple(fingers)
-
-
-def contacts_to_dicts(contacts: Collection[Contact], fingers: Collection[str]) -> list[JsonRecord]:
-    """Return the records of contacts with the fingers that make them.
-
-    Args:
-        contacts: the contacts in O.
-        fingers: name of the finger at each contact.
-    """
-    return [{**contact.to_dict(), "finger": finger} for contact, finger in zip(contacts, fingers, strict=True)]
 
 
 def check_contact_fingers(hand: Hand, fingers: Collection[str], field: str) -> None:

@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-import json
-import os
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy.typing as npt
 
 from graspforce.contact.contact import Contact, ContactSet
-from graspforce.core import arrays, fields, json_text
+from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
-from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
-from graspforce.core.whole_file import write_text
-from graspforce.geometry.poses import pose_from_dict, pose_to_dict
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
-from graspforce.grasp.hand_contacts import HandContacts
+from graspforce.grasp.hand_contacts import HandContacts, check_contact_links
+from graspforce.hand.collision import hand_collision
+from graspforce.hand.contact_tips import ContactTip, add_contact_tips
 from graspforce.hand.hand import Hand
 
-LINK_SCHEMA = "graspforce/link_grasp/1"
+_RADIUS = 0.005  # m, of the surface of links without collision shapes
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -33,7 +30,8 @@ class LinkGrasp(HandContacts):
     A contact on a link loads only the motors before that link, and one on the palm none. So the motors do not determine all
     internal forces: a force problem chooses forces of least torque among those that the structure can bear.
 
-    Its forces have certificates. Control, planning and simulation need a `Grasp`, with one contact at each fingertip.
+    Its forces have certificates. For control and simulation, `as_grasp` returns a `Grasp`; plans and streams need contacts of
+    fingertips.
 
     Args:
         hand: the hand.
@@ -48,6 +46,9 @@ class LinkGrasp(HandContacts):
         InvalidInput: names the field and what is allowed.
         UnknownName: the hand has no link or finger of that name.
     """
+
+    schema = "graspforce/link_grasp/1"
+    contact_key = "link"
 
     hand: Hand
     body: Body
@@ -101,94 +102,27 @@ class LinkGrasp(HandContacts):
         every = ContactSet.stack([*grasp.contacts.contacts, *contacts])
         return cls(grasp.hand, grasp.body, (*grasp.fingers, *links), every, grasp.q, grasp.p_HO, grasp.R_HO)
 
-    @classmethod
-    def from_dict(cls, record: object, hand: Hand, field: str = "grasp") -> LinkGrasp:
-        """Return the grasp of a record.
+    def as_grasp(self) -> Grasp:
+        """Return the grasp for control and simulation: that of a hand with a finger for each contact.
 
-        Args:
-            record: mapping with `body`, `contacts` (each with its `link`), `posture` (rad) and `object` (the pose in H).
-            hand: the hand, which the record does not contain.
-            field: path of the record, for error messages.
-
-        Raises:
-            InvalidInput: a field is missing, unknown or out of range; names it with its path.
-            UnknownName: the hand has no link of that name.
+        A sphere, half as thick as the link, stands for the link's surface at each contact. It rolls on the object like a
+        fingertip. A finger's own tip stays, with its radius. Only the hand of the result has these fingers: save this grasp
+        instead of the result.
         """
-        values = fields.check_record(record, field, required=["body", "contacts", "posture", "object"])
-        contacts, links = [], []
-        for i, item in enumerate(fields.check_sequence(values["contacts"], f"{field}.contacts", at_least=1)):
-            place = f"{field}.contacts[{i}]"
-            names = list(item) if isinstance(item, dict) else []  # Contact.from_dict checks them
-            entry = fields.check_record(item, place, required=["link"], optional=names)
-            links.append(fields.check_text(entry.pop("link"), f"{place}.link"))
-            contacts.append(Contact.from_dict(entry, place))
-        p_HO, R_HO, _ = pose_from_dict(values["object"], f"{field}.object")
-        body = Body.from_dict(values["body"], f"{field}.body")
-        q = arrays.check_array(values["posture"], f"{field}.posture", (hand.n,))
-        try:
-            return cls(hand, body, links, ContactSet.stack(contacts), q, p_HO, R_HO)
-        except InvalidInput as error:
-            raise error.with_prefix(field) from None
-
-    @classmethod
-    def load(cls, path: str | os.PathLike[str], hand: Hand | None = None) -> LinkGrasp:
-        """Return the grasp of a file that `save` wrote.
-
-        Args:
-            path: the file.
-            hand: the hand; by default it is loaded by the name in the file.
-
-        Raises:
-            InvalidInput: not such a file, a field is out of range, or the grasp is of another hand.
-            UnknownName: the hand in the file does not ship with graspforce, and `hand` is not given.
-            OSError: the file cannot be read.
-        """
-        record = fields.check_record(json_text.read(path), "", required=["schema", "hand", "grasp"])
-        fields.check_choice(record["schema"], "schema", [LINK_SCHEMA])
-        name = fields.check_text(record["hand"], "hand")
-        if hand is not None and hand.name != name:
-            raise InvalidInput("hand", hand.name, f"{name}, the hand of the grasp in {path}")
-        return cls.from_dict(record["grasp"], Hand.load(name) if hand is None else hand)
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the grasp to a JSON file, with the name of its hand.
-
-        Args:
-            path: the file; an existing file is replaced.
-
-        Raises:
-            InvalidInput: the body's shape is an implicit surface, whose function cannot be saved.
-            OSError: the file cannot be written.
-        """
-        record = {"schema": LINK_SCHEMA, "hand": self.hand.name, "grasp": self.to_dict()}
-        write_text(path, json.dumps(record) + "\n")
-
-    def to_dict(self) -> JsonRecord:
-        """Return the record of the grasp, without its hand.
-
-        Raises:
-            InvalidInput: the body's shape is an implicit surface, whose function cannot be saved or sent.
-        """
-        pairs = zip(self.contacts.contacts, self.links, strict=True)
-        return {
-            "body": self.body.to_dict(),
-            "contacts": [{**contact.to_dict(), "link": link} for contact, link in pairs],
-            "posture": self.q.tolist(),
-            "object": pose_to_dict(self.p_HO, self.R_HO),
-        }
-
-
-def check_contact_links(hand: Hand, names: Collection[str], field: str, suffix: str = "") -> None:
-    """Check that a hand has the links or fingers of a list of contacts.
-
-    Args:
-        hand: the hand.
-        names: name of the link or finger at each contact.
-        field: path of the list, for error messages.
-        suffix: the rest of the path of a name, such as ".finger".
-
-    Raises:
-        UnknownName: the hand has no link or finger of that name.
-    """
-    for i, name in enumerate(names):
-        hand.contact_frame_id(name, f"{field}[{i}]{suffix}")
+        hand, own = self.hand, {finger.name for finger in self.hand.fingers}
+        bodies = hand_collision(hand).bodies
+        names, tips = list[str | None](), list[ContactTip]()
+        for i, name in enumerate(self.links):
+            if name in own and name not in names:
+                names.append(name)
+                continue
+            link = hand.finger(name).tip if name in own else name
+            radius = min((float(body.half_extents.min()) for body in bodies if body.name == link), default=_RADIUS)
+            p = self.contacts.p_OC[i] - radius * self.contacts.R_OC[i, :, 2]
+            gamma = float(self.contacts.gamma[i]) or None
+            tips.append(ContactTip(link, self.p_HO + self.R_HO @ p, radius, gamma))
+            names.append(None)
+        hand, added = add_contact_tips(hand, tips, self.q)
+        rest = iter(added)
+        fingers = [next(rest) if name is None else name for name in names]
+        return Grasp(hand, self.body, fingers, self.contacts, self.q, self.p_HO, self.R_HO)

@@ -218,7 +218,7 @@ class Hand(HandKinematics):
     def palm(self) -> str:
         """Name of the last URDF link that carries all fingers: the base, or the link beyond a wrist."""
         model = self.urdf
-        chains = [model.chain(finger.tip) for finger in self.fingers]
+        chains = [model.chain(finger.tip) for finger in self.fingers if finger.tip in model.links]
         common = [joint for joint in chains[0] if all(joint in chain for chain in chains)]
         if len(chains) == 1:
             common = common[: next(i for i, joint in enumerate(common) if joint.is_moving)]

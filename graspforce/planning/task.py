@@ -23,7 +23,9 @@ from graspforce.core.records import set_fields
 from graspforce.force.problem import ForceProblem
 from graspforce.grasp.body import Body
 from graspforce.grasp.collision.settings import DEFAULT_COLLISIONS, CollisionSettings, check_collision_settings
-from graspforce.grasp.grasp import check_contact_fingers, contacts_from_dicts, contacts_to_dicts
+from graspforce.grasp.grasp import check_contact_fingers
+from graspforce.grasp.hand_contacts import contacts_from_dicts, contacts_to_dicts
+from graspforce.hand.contact_tips import check_fingertips
 from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
 from graspforce.planning.acceleration_limits import UNLIMITED, AccelerationLimits, check_acceleration_limits
 from graspforce.planning.hand_limits import hand_with_limits, limits_to_dict
@@ -108,6 +110,7 @@ class GraspTask:
         count = len(self.contacts)
         if len(self.fingers) != count or len(set(self.fingers)) < count:
             raise InvalidInput("fingers", self.fingers, f"{count} different finger names, one for each contact")
+        check_fingertips(self.hand, self.fingers, "plans")
         fields.check_boolean(self.rolling, "rolling")
         self._check_tips_on_surface()
 

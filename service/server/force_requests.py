@@ -7,7 +7,7 @@ import numpy as np
 from graspforce.contact.contact import ContactSet
 from graspforce.core import arrays
 from graspforce.force.problem import ForceProblem
-from graspforce.grasp.link_grasp import check_contact_links
+from graspforce.grasp.hand_contacts import check_contact_links
 from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
 from graspforce.service.wire.distribute_records import DistributeRequest
 

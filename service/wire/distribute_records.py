@@ -13,7 +13,7 @@ from graspforce.core.json_text import JsonRecord
 from graspforce.force.problem_options import Cone, Objective
 from graspforce.force.uncertainty import Uncertainty
 from graspforce.geometry.poses import pose_from_dict, pose_to_dict
-from graspforce.grasp.grasp import contacts_from_dicts, contacts_to_dicts
+from graspforce.grasp.hand_contacts import contacts_from_dicts, contacts_to_dicts
 
 
 @dataclass(frozen=True, eq=False)

@@ -204,3 +204,17 @@ def test_closing_the_viewer_does_not_end_the_run_early(monkeypatch):
         replace(SIMULATE_OPTIONS, duration=0.1), replace(NOTHING, view="window"), Console(file=io.StringIO())
     )
     assert shown == [mujoco.mjtCamera.mjCAMERA_FIXED] * 2
+
+
+def test_power_grasp_is_held_and_motions_that_it_does_not_allow_are_refused(capsys):
+    command = ["simulate", "--hand", "dlr_hit2", "--object", "sphere:0.03", "--friction", "0.6", "--class", "power"]
+    assert main([*command, "--reference", "still", "--duration", "0.02"]) == 0
+    assert "dlr_hit2 holds the sphere:0.03 (50 g, μ = 0.6) with palm" in capsys.readouterr().out
+    assert main([*command, "--reference", "reach"]) == 1
+    assert "--reference = 'reach': must be still: the contacts with palm" in capsys.readouterr().err
+    assert main([*command, "--reference", "still", "--serve"]) == 1
+    assert "--class = 'power': must be a class of fingertips with a service" in capsys.readouterr().err
+    assert main([*command, "--fingers", "thumb,index", "--reference", "still"]) == 1
+    assert "--fingers = 'thumb,index': must be absent for the class power" in capsys.readouterr().err
+    assert main([*command, "--campaign", "2"]) == 1
+    assert "--class = 'power': must be absent with --campaign" in capsys.readouterr().err

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from support.hands import load
 
 import graspforce as gf
 from graspforce.contact.matrices import grasp_matrix
+from graspforce.control import write_controller
 from graspforce.core.errors import InvalidInput, UnknownName
 from graspforce.force.problem import ForceProblem
 from graspforce.force.status import Status
@@ -17,6 +19,7 @@ from graspforce.geometry import Sphere
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.link_grasp import LinkGrasp
 from graspforce.grasp.search import find_grasp
+from graspforce.planning.task import GraspTask
 from graspforce.service.server.force_requests import make_force_problem
 from graspforce.service.wire.distribute_records import DistributeRequest
 
@@ -142,3 +145,29 @@ def test_error_for_an_unknown_link_names_it(tips: Grasp) -> None:
         LinkGrasp.from_grasp(tips, [surface_contact(tips, [0.0, 0.0, -1.0])], ["toe"])
     with pytest.raises(InvalidInput, match=r"links = .*must be 3 names of links"):
         LinkGrasp(tips.hand, BODY, ["palm"], tips.contacts, tips.q, tips.p_HO, tips.R_HO)
+
+
+def test_grasp_for_control_has_the_same_contacts_forces_and_tips(tips: Grasp, enveloping: LinkGrasp) -> None:
+    grasp = enveloping.as_grasp()
+    assert grasp.fingers == enveloping.links  # all names are unique here
+    assert grasp.contact_errors().max() < 1e-12  # m
+    np.testing.assert_allclose(grasp.actuation().J, enveloping.actuation().J, atol=1e-15)
+    assert grasp.with_pads().contacts.models == enveloping.contacts.models
+    for name in tips.fingers:
+        assert grasp.hand.finger(name) == tips.hand.finger(name)
+    twice = LinkGrasp.from_grasp(tips, [tips.contacts.contacts[0]], [tips.fingers[0]]).as_grasp()
+    assert len(set(twice.fingers)) == len(tips.fingers) + 1
+    assert twice.contact_errors().max() < 1e-5  # m, as near as the search put the fingertips
+
+
+def test_files_plans_and_c_controllers_refuse_such_contacts_with_the_reason(enveloping: LinkGrasp, tmp_path: Path) -> None:
+    grasp = enveloping.as_grasp()
+    with pytest.raises(InvalidInput, match="files and streams of a Grasp take no contacts on inner links or the palm"):
+        grasp.save(tmp_path / "grasp.json")
+    with pytest.raises(InvalidInput, match="plans take no contacts on inner links or the palm"):
+        GraspTask(grasp.hand, grasp.body, grasp.contacts, grasp.fingers)
+    with pytest.raises(InvalidInput, match="C controllers take no contacts on inner links or the palm"):
+        write_controller(grasp, tmp_path)
+    enveloping.save(tmp_path / "links.json")
+    with pytest.raises(InvalidInput, match=r"link_grasp/1.*must be one of graspforce/grasp/1"):
+        Grasp.load(tmp_path / "links.json")

@@ -7,7 +7,16 @@ from typing import Annotated
 
 import typer
 
-from graspforce.cli.commands.grasp_arguments import Fingers, Friction, HandName, Mass, ObjectName, Seed
+from graspforce.cli.commands.grasp_arguments import (
+    Fingers,
+    Friction,
+    GraspClassName,
+    HandName,
+    Mass,
+    ObjectName,
+    PadFriction,
+    Seed,
+)
 from graspforce.cli.commands.output_arguments import AsJson, Force
 
 app = typer.Typer()
@@ -28,9 +37,7 @@ def grasp(
     budget: Annotated[
         float | None, typer.Option(metavar="S", help="Time after which the search ends with the best grasp so far.")
     ] = None,
-    grasp_class: Annotated[
-        str | None, typer.Option("--class", metavar="NAME", help="Class of the grasp, such as pinch, tripod or power.")
-    ] = None,
+    grasp_class: GraspClassName = None,
     approach: Annotated[
         str | None,
         typer.Option(metavar="X,Y,Z", help="Direction in the object's frame in which the palm faces, to within 30°."),
@@ -38,9 +45,7 @@ def grasp(
     table: Annotated[
         str | None, typer.Option(metavar="X,Y,Z", help="Direction in the object's frame away from a table on which it stands.")
     ] = None,
-    pad_friction: Annotated[
-        float | None, typer.Option(metavar="M", help="Torsional friction of fingertips whose description states none, m.")
-    ] = None,
+    pad_friction: PadFriction = None,
     count: Annotated[int, typer.Option(metavar="N", help="Number of different grasps, the best first.")] = 1,
     rank: Annotated[
         str, typer.Option(metavar="MEASURE", help="margin: slip margin. robustness: force closure. clearance: distances.")
@@ -67,8 +72,8 @@ def grasp(
     With --postures, fingertips near the object are moved onto it, and postures that do not hold it are listed with the reason.
     The grasp with the largest slip margin is shown.
 
-    The classes power and lateral have contacts on inner links and the palm. Forces, quality, explanation and pictures work with
-    such a grasp; control and plans need contacts of fingertips.
+    The classes power and lateral have contacts on inner links and the palm. `graspforce simulate --class power` controls such a
+    grasp; plans and streams need contacts of fingertips.
 
     Exit code 1: no grasp was found, or no posture of the file holds the object.
     """

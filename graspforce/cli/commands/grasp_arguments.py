@@ -30,3 +30,9 @@ HandName = Annotated[
         metavar="NAME", help="Name of a hand (see `graspforce hands`), or a description file.", autocompletion=complete_hand
     ),
 ]
+GraspClassName = Annotated[
+    str | None, typer.Option("--class", metavar="NAME", help="Class of the grasp, such as pinch, tripod or power.")
+]
+PadFriction = Annotated[
+    float | None, typer.Option(metavar="M", help="Torsional friction of fingertips whose description states none, m.")
+]

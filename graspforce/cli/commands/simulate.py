@@ -7,7 +7,17 @@ from typing import Annotated
 
 import typer
 
-from graspforce.cli.commands.grasp_arguments import Fingers, Friction, Gravity, HandName, Mass, ObjectName, Seed
+from graspforce.cli.commands.grasp_arguments import (
+    Fingers,
+    Friction,
+    GraspClassName,
+    Gravity,
+    HandName,
+    Mass,
+    ObjectName,
+    PadFriction,
+    Seed,
+)
 from graspforce.cli.commands.output_arguments import AsJson, Force
 from graspforce.core.errors import InvalidInput
 from graspforce.core.optional_libraries import require_libraries
@@ -42,6 +52,8 @@ def simulate(
         typer.Option(metavar="FX,FY,FZ,START,DURATION", help="Force on the object, N, with start and duration, s; repeatable."),
     ] = None,
     seed: Seed = 0,
+    grasp_class: GraspClassName = None,
+    pad_friction: PadFriction = None,
     drive: Annotated[
         str | None,
         typer.Option(
@@ -201,6 +213,9 @@ def simulate(
 ) -> None:
     """Hold and move an object in MuJoCo, in closed loop at 1 kHz.
 
+    The classes power and lateral hold with inner links and the palm. Motions that such contacts do not allow are refused;
+    --reference still only holds the object.
+
     With exact states by default. Options of the world simulate a real hand: a controller that knows measurements only.
 
     Exit code 1: a finger lost contact or slipped.
@@ -233,10 +248,14 @@ def simulate(
     from graspforce.cli.options import GraspOptions, parse_vector
     from graspforce.cli.world_options import PRESETS, WorldOptions
     from graspforce.core import fields
+    from graspforce.grasp.search import GraspSearchOptions
 
     names = hand.split(",") if campaign is not None else [hand]
+    if campaign is not None and grasp_class is not None:
+        raise InvalidInput("--class", grasp_class, "absent with --campaign, whose grasps are of any class")
+    requirements = GraspSearchOptions(grasp_class=grasp_class, pad_friction=pad_friction)
     options = run_simulation.SimulateOptions(
-        grasp=GraspOptions(names[0], object_name, mass, friction, fingers, gravity, seed, drive),
+        grasp=GraspOptions(names[0], object_name, mass, friction, fingers, gravity, seed, drive, requirements),
         reference=reference,
         travel=parse_vector(travel, "travel"),
         period=period,

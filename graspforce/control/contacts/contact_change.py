@@ -29,7 +29,8 @@ from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput, UnknownName
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
-from graspforce.grasp.grasp import Grasp, contacts_from_dicts, contacts_to_dicts
+from graspforce.grasp.grasp import Grasp
+from graspforce.grasp.hand_contacts import contacts_from_dicts, contacts_to_dicts
 from graspforce.hand.hand import Hand
 
 FORCE_RATE = 20.0  # N/s

@@ -19,6 +19,7 @@ import numpy as np
 
 from graspforce.contact.contact import ContactSet
 from graspforce.control.contacts.contact_conditions import Mask
+from graspforce.control.forces.structural_forces import structural_forces
 from graspforce.control.forces.worst_cases import friction_margin, least_friction, weight_margin
 from graspforce.control.settings import ControlSettings
 from graspforce.control.step_data import StepTargets
@@ -152,6 +153,7 @@ class MarginSolver:
     def __init__(self, grasp: Grasp, settings: ControlSettings, drive_margin: float = 0.0) -> None:
         self._contacts, self._hand, self._settings = grasp.contacts, grasp.hand, settings
         contacts = grasp.contacts
+        self._structure = structural_forces(grasp)
         self.least = least_friction(contacts, settings)
         errors = weight_margin(grasp, settings, self.least[0]) + friction_margin(grasp, settings) + drive_margin
         self.margin = settings.slip_margin + errors
@@ -239,12 +241,14 @@ class MarginSolver:
         if self._nearest is None:
             self._nearest = NearestForces(self._problem(self._bare, targets, targets.w, tau_u))
         geometry = targets.p_OC, targets.R_OC, limits.friction
-        plain = self._nearest.solve(targets.w, targets.J, tau_u, *geometry, limits.normal)
+        J = self._with_structure(targets.J)
+        plain = self._nearest.solve(targets.w, J, self._with_structure_torques(tau_u), *geometry, limits.normal)
         level = _Level.of(self._contacts, limits, self.margin)
         if plain is None or self.margin == 0.0 or not level.is_feasible:
             return None if plain is None else plain[0]
         w, tau = targets.apply_slip_margin(tau_u, level.shift)
-        squeezed = self._nearest.solve(w, targets.J, tau, *geometry, level.normal_limits)
+        tau = self._with_structure_torques(tau, level.force_offset)
+        squeezed = self._nearest.solve(w, J, tau, *geometry, level.normal_limits)
         tolerance = _AS_NEAR * float(np.linalg.norm(targets.w[:3]))  # N
         if squeezed is None or squeezed[1] > plain[1] + tolerance:
             return plain[0]
@@ -285,7 +289,8 @@ class MarginSolver:
         """Return the largest feasible margin, N; None if no forces exist."""
         if self._largest is None:
             self._largest = LargestMargin(self._problem(self._bare, targets, targets.w, tau_u), self.margin)
-        return self._largest.solve(targets.w, targets.J, tau_u, targets.p_OC, targets.R_OC, limits.friction, limits.normal)
+        J, tau_u = self._with_structure(targets.J), self._with_structure_torques(tau_u)
+        return self._largest.solve(targets.w, J, tau_u, targets.p_OC, targets.R_OC, limits.friction, limits.normal)
 
     def _solve_level(self, level: _Level, targets: StepTargets, tau_u: Array) -> tuple[Solution, Array | None]:
         """Return the certified solution of a level's shifted problem, and the contact forces (k,); None without one."""
@@ -294,18 +299,30 @@ class MarginSolver:
             self._solver, self._loaded = Solver(self._problem(level, targets, w, tau_u), explain=False), level
         mu, limits = (None, None) if level is self._loaded else (level.limits.friction, level.normal_limits)
         self._loaded = level
-        solution = self._solver.solve(
-            w=w, J=targets.J, tau_u=tau_u, mu=mu, p=targets.p_OC, R=targets.R_OC, normal_limits=limits
-        )
+        J, tau_u = self._with_structure(targets.J), self._with_structure_torques(tau_u, level.force_offset)
+        solution = self._solver.solve(w=w, J=J, tau_u=tau_u, mu=mu, p=targets.p_OC, R=targets.R_OC, normal_limits=limits)
         if not solution.found:
             return solution, None
         f = solution.f + level.force_offset
         f.setflags(write=False)  # the command and the next memory share it
         return solution, f
 
+    def _with_structure(self, J: Array) -> Array:
+        """Return J with the structural forces as joints without motor, which keep these forces at zero."""
+        return J if self._structure.shape[1] == 0 else np.hstack([J, self._structure])
+
+    def _with_structure_torques(self, tau_u: Array, force_offset: Array | None = None) -> Array:
+        """Return tau_u with the torques of these joints from the shift of the normal forces, (k,), N."""
+        if self._structure.shape[1] == 0:
+            return tau_u
+        return np.append(tau_u, np.zeros(self._structure.shape[1]) if force_offset is None else force_offset @ self._structure)
+
     def _problem(self, level: _Level, targets: StepTargets, w: Array, tau_u: Array) -> ForceProblem:
         """Return the force problem of a level at the contacts of the grasp."""
         hand, (mu, gamma), (lower, upper) = self._hand, map(freeze, level.limits.friction), map(freeze, level.normal_limits)
         contacts = dataclasses.replace(self._contacts, mu=mu, gamma=gamma, min_normal=lower, max_normal=upper)
-        actuation = Actuation(targets.J, tau_u, hand.torque_lower, hand.torque_upper, hand.force_weight)
+        J, tau_u = self._with_structure(targets.J), self._with_structure_torques(tau_u, level.force_offset)
+        none = np.zeros(self._structure.shape[1])
+        limits = (np.append(limit, none) for limit in (hand.torque_lower, hand.torque_upper, hand.force_weight))
+        actuation = Actuation(J, tau_u, *limits)
         return ForceProblem(contacts, w, actuation, objective=Objective("torque", self._settings.force_weight))

@@ -16,6 +16,7 @@ from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
 from graspforce.grasp.grasp import Grasp
+from graspforce.hand.contact_tips import check_fingertips
 from graspforce.hand.hand import Hand
 
 _MOVE_SPEED = 0.1  # m/s: mean speed of the base
@@ -90,6 +91,7 @@ class CyclePlan:
         ) -> None: ...
 
     def __post_init__(self) -> None:
+        check_fingertips(self.grasp.hand, self.grasp.fingers, "cycles")
         n, count = self.grasp.hand.n, len(self.grasp.fingers)
         shapes = {"gravity_H": (3,), "q_pregrasp": (n,), "standoff": (count,), "lift": (3,), "move": (3,)}
         for name, shape in shapes.items():

@@ -175,7 +175,7 @@ class JointCoordinates:
 
         A motor that moves a joint of each finger, such as that of two jaws, is none of them.
         """
-        shared = set.intersection(*(set(finger.joints) for finger in self.fingers))
+        shared = set.intersection(*(set(finger.joints) for finger in self.fingers if finger.joints))
         single = [j for j in sorted(shared) if np.count_nonzero(self.T[:, j]) == 1]  # no followers
         return tuple(single) if len(self.fingers) > 1 else ()
 

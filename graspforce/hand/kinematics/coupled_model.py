@@ -89,6 +89,21 @@ class CoupledModel:
             frame.placement = frame.placement * pin.SE3(np.eye(3), np.array(offset))
         return displaced
 
+    def with_frames(self, places: Mapping[str, tuple[str, Array]]) -> CoupledModel:
+        """Return the model with further frames, which have the axes of the links that carry them.
+
+        Args:
+            places: URDF link and (3,) position in its frame, m, of each new frame, by name.
+        """
+        extended = copy.copy(self)
+        extended._model = pin.Model(self._model)
+        for name, (link, p) in places.items():
+            index = self.frame_id(link)
+            carrier = self._model.frames[index]
+            place = carrier.placement * pin.SE3(np.eye(3), np.array(p))
+            extended._model.addFrame(pin.Frame(name, carrier.parentJoint, index, place, pin.FrameType.OP_FRAME))
+        return extended
+
     def in_coordinates(self, coordinates: JointCoordinates) -> CoupledModel:
         """Return the model of the same bodies in other coordinates.
 
@@ -103,9 +118,10 @@ class CoupledModel:
         """Return Pinocchio's index of a link's frame.
 
         Args:
-            link: name of the URDF link.
+            link: name of the URDF link, or of a frame of `with_frames`.
         """
-        return int(self._model.getFrameId(link, pin.FrameType.BODY))
+        is_link = self._model.existFrame(link, pin.FrameType.BODY)
+        return int(self._model.getFrameId(link, pin.FrameType.BODY if is_link else pin.FrameType.OP_FRAME))
 
     def carrier_of(self, link: str) -> tuple[int, Array, Array]:
         """Return the moving link that carries a URDF link, and the URDF link's pose on it.

@@ -16,6 +16,7 @@ from graspforce.core.text_table import Table
 from graspforce.geometry import Shape
 from graspforce.grasp.collision.settings import DEFAULT_COLLISIONS, CollisionSettings
 from graspforce.grasp.grasp import Grasp
+from graspforce.hand.contact_tips import check_fingertips
 from graspforce.planning.regrasp.pose_path import PosePath
 from graspforce.planning.regrasp.rolling_motion import HeldObject
 
@@ -42,6 +43,7 @@ class RegraspTask:
 
     def __post_init__(self) -> None:
         _ = self.shape  # checks that there is one
+        check_fingertips(self.grasp.hand, self.grasp.fingers, "regrasps")
         start = self.path.motion(0.0)
         for name, found, wanted in (("p_HO", start.p_HO, self.grasp.p_HO), ("R_HO", start.R_HO, self.grasp.R_HO)):
             if np.abs(found - wanted).max() > _START_TOLERANCE:

@@ -30,7 +30,7 @@ def preload_contacts(scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, f
 
     Args:
         scene: the scene of the data.
-        model: of MuJoCo.
+        model: of MuJoCo; tips that no joint moves are moved along their normals instead.
         data: its data, with zero velocities; the hand is moved.
         f_normal: (N,) normal forces, N.
 
@@ -39,7 +39,7 @@ def preload_contacts(scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, f
     """
     grasp = scene.grasp
     J = grasp.hand.contact_jacobian(grasp.q, grasp.fingers, grasp.contacts, grasp.p_HO, grasp.R_HO)[grasp.contacts.normal_rows]
-    inverse = np.linalg.pinv(J, rcond=_RANK_TOLERANCE)
+    inverse, is_fixed = np.linalg.pinv(J, rcond=_RANK_TOLERANCE), ~J.any(axis=1)
     q, v = np.array(grasp.q), np.zeros(grasp.hand.n)
     for _ in range(_MAX_ITERATIONS):
         set_posture(scene, data, q, v)
@@ -51,6 +51,10 @@ def preload_contacts(scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, f
         if np.abs(depth_error).max() < _DEPTH_TOLERANCE:
             break
         q = q + inverse @ depth_error
+        for i in np.flatnonzero(is_fixed):  # such as on the palm, which no joint presses onto the object
+            geom = scene.tip_geoms[i]
+            R_HB = data.xmat[model.geom_bodyid[geom]].reshape(3, 3)
+            model.geom_pos[geom] += depth_error[i] * (R_HB.T @ grasp.R_HO @ grasp.contacts.R_OC[i, :, 2])
     return q
 
 

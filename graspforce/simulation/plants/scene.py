@@ -160,7 +160,8 @@ def build_scene(
             geom = meshes.add_mesh_geom(spec, bodies, hand.tip_mesh(name, directories))
         else:
             tip = next(tip for tip in tree.tips if tip.finger == name)
-            geom = bodies[tip.link].add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radii[i], 0.0, 0.0], pos=tip.p_LF)
+            carrier = bodies[tip.link] if tip.link >= 0 else spec.worldbody
+            geom = carrier.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radii[i], 0.0, 0.0], pos=tip.p_LF)
         make_passive_geom(geom, f"tip {name}")
     add_object(spec, body or grasp.body, grasp)
     others = (OBJECT,) if floor is None else (OBJECT, FLOOR)

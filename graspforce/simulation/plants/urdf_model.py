@@ -198,7 +198,8 @@ def _add_tips(spec: mujoco.MjSpec, grasp: Grasp, options: PlantOptions) -> None:
             center = center - _POINT_TIP_RADIUS * grasp.hand.tip_pose(grasp.q, name)[1].T @ n_H
         radius = finger.tip_radius or _POINT_TIP_RADIUS
         geom = f"fingertip {name}"
-        _add_geom(spec.body(finger.tip), geom, mujoco.mjtGeom.mjGEOM_SPHERE, [radius, 0.0, 0.0], center)
+        carrier, place = _tip_carrier(spec, grasp, finger.tip, center)
+        _add_geom(carrier, geom, mujoco.mjtGeom.mjGEOM_SPHERE, [radius, 0.0, 0.0], place)
         pair = spec.add_pair(name=geom, geomname1=geom, geomname2=_OBJECT)
         model = grasp.contacts.models[i]
         if model is ContactModel.FRICTIONLESS and mu[i] == 0.0:
@@ -209,6 +210,15 @@ def _add_tips(spec: mujoco.MjSpec, grasp: Grasp, options: PlantOptions) -> None:
             pair.condim = 4 if gamma[i] > 0.0 or model is ContactModel.SOFT else 3
         pair.friction = [mu[i], mu[i], gamma[i], rolling[i], rolling[i]]
         pair.solref, pair.solimp = _SOLREF, _SOLIMP
+
+
+def _tip_carrier(spec: mujoco.MjSpec, grasp: Grasp, tip: str, center: Array) -> tuple[mujoco.MjsBody, Array]:
+    """Return the body that carries a tip frame, and a point of the frame in the body, (3,) m."""
+    hand = grasp.hand
+    if tip in hand.urdf.links and spec.body(tip) is not None:
+        return spec.body(tip), center
+    link, p_LF, R_LF = hand.model.carrier_of(tip)
+    return _body_of_link(spec, grasp, link), p_LF + R_LF @ center
 
 
 def _body_of_link(spec: mujoco.MjSpec, grasp: Grasp, link: int) -> mujoco.MjsBody:

@@ -128,7 +128,7 @@ class RecordingBuilder:
 
 
 def _grasp_record(grasp: Grasp) -> JsonRecord | None:
-    """Return the record of a grasp; None if its object has a surface that no record describes."""
+    """Return the record of a grasp; None if no record describes its surface, or its contacts on inner links and the palm."""
     try:
         return grasp.to_dict()
     except InvalidInput:

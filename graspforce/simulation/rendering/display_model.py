@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from graspforce.core.arrays import Array
 from graspforce.core.errors import ModelError
+from graspforce.hand.contact_tips import own_fingers
 from graspforce.hand.kinematics.kinematic_tree import KinematicTree
 from graspforce.simulation.plants.link_geoms import HIDDEN_GROUP
 from graspforce.simulation.plants.scene import Scene, set_posture
@@ -60,7 +61,8 @@ class DisplayModel:
         camera: CameraOptions | None = None,
     ) -> None:
         self.scene = scene
-        hand, tree, spec = scene.grasp.hand, scene.grasp.hand.tree(), scene.spec.copy()
+        hand, spec = scene.grasp.hand, scene.spec.copy()
+        tree = hand.model.tree(own_fingers(hand))
         stage.add_materials(spec)
         self.description = self._add_hand_geoms(spec, tree, show_meshes, directories)
         for name in scene.grasp.fingers:
