@@ -43,8 +43,8 @@ _CONSTRAINT_RANK_TOLERANCE = 1e-6  # relative to the largest singular value, of 
 SPIN_DAMPING_START = 0.00225  # m/rad: σ₀
 SPIN_COMPLIANCE_START = 0.006  # m/rad: σ₁
 _COMPLIANT_TOLERANCE = 0.1  # of the rank tolerance: where the object yields, it bounds the joint accelerations
-# Relative: the acceleration does not follow weaker constraints. They give way to slip of micrometres, while their violation by
-# the noise of measurements would be divided by their size.
+# Relative: accelerations and pose errors ignore weaker constraints. These give way to slip of micrometres, so feedback and
+# integral act along them. Their violation by the noise of measurements would be divided by their size.
 _WEAK_CONSTRAINT = 0.01
 _RATE_DAMPING = 1e-4  # relative to the mean squared singular value of A
 NO_TWISTS = freeze(np.zeros((0, 6)))  # rows of uncontrollable twists if every twist is feasible
@@ -109,7 +109,8 @@ class Accelerations:
         joint_acceleration: (n,) joint accelerations, rad/s².
         uncontrollable: (m, 6) orthonormal rows u in O. The fingers can make a twist exactly if u · twist = 0 for all rows.
         Q: (r, d) orthonormal constraint forces that load no motor; None if there are none.
-        feasible_projection: (6, 6) map from an acceleration in O to the nearest feasible one; None if all are feasible.
+        feasible_projection: (6, 6) map from an acceleration in O to the nearest one that is feasible up to slip of micrometres.
+            None if all are feasible.
     """
 
     object_acceleration: Array
@@ -197,7 +198,7 @@ def compute_accelerations_reference(
         residual = B @ object_acceleration + beta - A @ posture
         constraints = M_factor.factor @ rows.T  # (6, constrained): constraintsᵀ a is fixed by the structure
         uncontrollable = np.linalg.qr(constraints)[0].T
-        feasible_projection = np.eye(6) - M_factor.inverse.T @ rows.T @ constraints.T
+        feasible_projection = np.eye(6) - M_factor.inverse.T @ rows[:firm].T @ constraints[:, :firm].T
     else:
         Q, uncontrollable, feasible_projection = None, NO_TWISTS, None
     joint_acceleration = posture + Vt[:rank].T @ ((U[:, :rank].T @ residual) / sigma[:rank])

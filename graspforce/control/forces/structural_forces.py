@@ -26,9 +26,9 @@ _RANK_TOLERANCE = 1e-3  # relative: a lever arm of 0.1 mm on links of 100 mm cou
 
 
 def structural_forces(grasp: Grasp) -> Array:
-    """Return P, (k, m): a basis of the forces that planned forces must not contain.
+    """Return P, (k, m): planned forces keep Pᵀ f = 0.
 
-    It is empty for a grasp of fingertips only: their forces follow from the torques, or are small.
+    It has no columns for a grasp of fingertips only. There, forces of least torque contain little that no motor makes.
 
     Args:
         grasp: hand, object and contacts.

@@ -17,6 +17,7 @@ from graspforce.control.contacts.mobility import (
     compute_accelerations_reference,
     compute_damped_accelerations,
 )
+from graspforce.grasp.body import Body
 
 native = pytest.importorskip("graspforce.core._native", reason="the C code was not built: no C compiler at installation")
 
@@ -120,3 +121,15 @@ def test_c_code_damps_spins_as_the_reference() -> None:
         A = laws[0]._constraints.constraint_rows(expected.rolling)[0]
         damped += 1.0 / np.trace(np.linalg.inv(A @ A.T)) < SPIN_DAMPING_START**2
     assert damped > 3
+
+
+@pytest.mark.parametrize("size", [0.5, 0.02, 0.005, 1e-5])
+def test_errors_are_corrected_along_weak_constraints_and_not_along_others(size: float) -> None:
+    """Two rows without joints constrain a body of unit mass and inertia: v_x, and v_y with a size."""
+    body = Body(1.0, np.eye(3))
+    A, B = np.zeros((3, 4)), np.zeros((3, 6))
+    A[2, 0], B[2, 2], B[0, 0], B[1, 1] = 1.0, 1.0, 1.0, size
+    found = compute_accelerations(A, B, np.zeros(3), np.zeros(6), np.zeros(4), MassFactor.from_body(body), 0.01)
+    np.testing.assert_allclose(np.abs(found.uncontrollable), np.eye(6)[:2], atol=1e-12)
+    is_corrected = size < 0.01  # of the largest
+    np.testing.assert_allclose(found.feasible_projection, np.diag([0.0, float(is_corrected), 1.0, 1.0, 1.0, 1.0]), atol=1e-12)
