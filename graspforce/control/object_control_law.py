@@ -56,7 +56,7 @@ from graspforce.control.step_warnings import StepWarnings, uncontrollable_warnin
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.compiled import native
-from graspforce.grasp.grasp import Grasp
+from graspforce.grasp.grasp import Grasp, check_grasp
 from graspforce.hand.hand import Hand
 
 _SATURATION_TOLERANCE = 1e-6  # fraction of the torque range within which a motor counts as saturated
@@ -74,7 +74,7 @@ class ObjectControlLaw:
     """
 
     def __init__(self, grasp: Grasp, settings: ControlSettings) -> None:
-        self.grasp, self.settings = grasp, settings
+        self.grasp, self.settings = check_grasp(grasp), settings
         hand = grasp.hand
         fingers = [hand.finger(name) for name in grasp.fingers]
         self._radii = np.array([finger.tip_radius or 0.0 for finger in fingers])  # m

@@ -242,3 +242,18 @@ def check_contact_fingers(hand: Hand, fingers: Collection[str], field: str) -> N
     for i, name in enumerate(fingers):
         if name not in names:
             raise UnknownName(f"{field}[{i}].finger", name, names)
+
+
+def check_grasp(value: object, field: str = "grasp") -> Grasp:
+    """Return a grasp for control, simulation or streams.
+
+    Args:
+        value: the value to check.
+        field: its name, for error messages.
+
+    Raises:
+        InvalidInput: another type, such as a `LinkGrasp`.
+    """
+    if not isinstance(value, Grasp):
+        raise InvalidInput(field, type(value).__name__, "a Grasp; LinkGrasp.as_grasp returns one for control and simulation")
+    return value

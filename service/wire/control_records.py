@@ -14,7 +14,8 @@ from graspforce.core.json_text import JsonRecord
 from graspforce.estimation.pose.pose_fusion import PoseOffset
 from graspforce.estimation.sensor_model import SensorModel
 from graspforce.geometry.poses import pose_from_dict, pose_to_dict
-from graspforce.grasp.grasp import Grasp
+from graspforce.grasp.grasp import Grasp, check_grasp
+from graspforce.hand.contact_tips import check_fingertips
 from graspforce.hand.hand import Hand
 from graspforce.service.wire.change_records import read_change_number
 
@@ -104,7 +105,8 @@ class StreamSetup:
         authenticated: whether states and commands have authentication codes (`graspforce.service.wire.stream_authentication`).
 
     Raises:
-        InvalidInput: `validity` is not a finite number above 0, or `torque_step` is out of range.
+        InvalidInput: `validity` is not a finite number above 0, `torque_step` is out of range, or a contact is not at a
+            fingertip.
     """
 
     grasp: Grasp
@@ -118,6 +120,7 @@ class StreamSetup:
     authenticated: bool = False
 
     def __post_init__(self) -> None:
+        check_fingertips(check_grasp(self.grasp).hand, self.grasp.fingers, "streams")
         number = read_change_number(self.change_number, "change_number")
         step = arrays.check_number(self.torque_step, "torque_step", above=0.0)
         if step > 2.0:

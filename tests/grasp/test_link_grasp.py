@@ -11,7 +11,7 @@ from support.hands import load
 
 import graspforce as gf
 from graspforce.contact.matrices import grasp_matrix
-from graspforce.control import write_controller
+from graspforce.control import ObjectController, write_controller
 from graspforce.core.errors import InvalidInput, UnknownName
 from graspforce.force.problem import ForceProblem
 from graspforce.force.status import Status
@@ -21,7 +21,9 @@ from graspforce.grasp.link_grasp import LinkGrasp
 from graspforce.grasp.search import find_grasp
 from graspforce.planning.task import GraspTask
 from graspforce.service.server.force_requests import make_force_problem
+from graspforce.service.wire.control_records import StreamSetup
 from graspforce.service.wire.distribute_records import DistributeRequest
+from graspforce.simulation import UrdfPlant, build_scene
 
 BODY = gf.Body.solid(Sphere(0.03), 0.05)
 STEP = 1e-6  # s
@@ -171,3 +173,11 @@ def test_files_plans_and_c_controllers_refuse_such_contacts_with_the_reason(enve
     enveloping.save(tmp_path / "links.json")
     with pytest.raises(InvalidInput, match=r"link_grasp/1.*must be one of graspforce/grasp/1"):
         Grasp.load(tmp_path / "links.json")
+
+
+def test_control_plants_and_streams_name_the_conversion(enveloping: LinkGrasp) -> None:
+    for make in (ObjectController, StreamSetup, build_scene, UrdfPlant):
+        with pytest.raises(InvalidInput, match=r"grasp = 'LinkGrasp': must be a Grasp; LinkGrasp\.as_grasp returns one"):
+            make(enveloping)
+    with pytest.raises(InvalidInput, match="streams take no contacts on inner links or the palm"):
+        StreamSetup(enveloping.as_grasp())

@@ -24,7 +24,7 @@ from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput, ModelError
 from graspforce.geometry import TriangleMesh
 from graspforce.grasp.body import Body
-from graspforce.grasp.grasp import Grasp
+from graspforce.grasp.grasp import Grasp, check_grasp
 from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
 from graspforce.simulation.plants import meshes
 from graspforce.simulation.plants.engine_settings import EngineSettings
@@ -148,7 +148,7 @@ def build_scene(
     if isinstance(shape, TriangleMesh) and surface is None and not shape.is_convex:
         raise InvalidInput("tip_geometry", tip_geometry, '"ball" for a mesh that is not convex: MuJoCo would fill its hollows')
     gravity_H = arrays.check_array(gravity_H, "gravity_H", (3,))
-    hand, tree = grasp.hand, grasp.hand.tree()
+    hand, tree = check_grasp(grasp).hand, grasp.hand.tree()
     radii = _tip_radii(grasp)
 
     spec = mujoco.MjSpec()

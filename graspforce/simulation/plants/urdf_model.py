@@ -20,7 +20,7 @@ from graspforce.contact.contact import ContactModel
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput, ModelError
 from graspforce.geometry import Box, Cylinder, Shape, Sphere
-from graspforce.grasp.grasp import Grasp
+from graspforce.grasp.grasp import Grasp, check_grasp
 from graspforce.hand.descriptions import description as descriptions
 from graspforce.simulation.plants.link_geoms import LINK_FRICTION, add_link_geoms
 from graspforce.simulation.plants.plant_options import PlantOptions
@@ -76,7 +76,7 @@ def compile_urdf(grasp: Grasp, options: PlantOptions) -> UrdfModel:
         InvalidInput: an option has the wrong number of values, or the object has no shape, or none that MuJoCo has.
         ModelError: MuJoCo cannot compile the URDF.
     """
-    path = grasp.hand.urdf_path
+    path = check_grasp(grasp).hand.urdf_path
     try:
         spec = mujoco.MjSpec.from_string(_without_shapes(descriptions.text(path)))
     except ValueError as error:
