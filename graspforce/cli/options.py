@@ -19,7 +19,7 @@ from graspforce.geometry import Box, Cylinder, Solid, Sphere, Superquadric, Tria
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.link_grasp import LinkGrasp
-from graspforce.grasp.search import GraspSearchOptions, find_grasp, find_link_grasp
+from graspforce.grasp.search import GraspClass, GraspSearchOptions, find_grasp, find_link_grasp
 from graspforce.grasp.search.grasp_class import ENVELOPING_CLASSES
 from graspforce.hand.hand import Hand
 from graspforce.problems import objects
@@ -111,13 +111,13 @@ class GraspOptions:
         Raises:
             InvalidInput: no grasp was found, or an option is given that this search does not have.
         """
-        name = getattr(options.grasp_class, "value", options.grasp_class)
+        chosen = GraspClass(options.grasp_class)
         given = (self.fingers, "--fingers"), (options.approach_O, "--approach"), (options.up_O, "--table")
         for value, option in given:
             if value is not None:
-                raise InvalidInput(option, value, f"absent for the class {name}")
+                raise InvalidInput(option, value, f"absent for the class {chosen.value}")
         common: dict[str, Any] = {"friction": self.mu, "gravity_H": gravity_H, "seed": self.seed}
-        return find_link_grasp(self.hand, self.body, name, **common, options=options)
+        return find_link_grasp(self.hand, self.body, chosen, **common, options=options)
 
 
 def is_enveloping(options: GraspSearchOptions) -> bool:
