@@ -18,8 +18,11 @@ from typing import TYPE_CHECKING
 from graspforce.core.lazy import lazy_exports
 
 if TYPE_CHECKING:
+    from graspforce.learning.actions.finger_angles import finger_angles
     from graspforce.learning.actions.gist_ranking import ActionGist, GistHistogram, RankedGist, rank_gists
     from graspforce.learning.actions.meta_motions import META_MOTIONS, meta_motion_conditions
+    from graspforce.learning.actions.recorded_motion import RecordedMotion, recorded_motion
+    from graspforce.learning.actions.retrieval import SimilarRecording, find_similar, gist_similarity
     from graspforce.learning.actions.segmentation import GistSettings, MotionSegment, action_gist, segment_finger
     from graspforce.learning.glove.calibration import GloveCalibration, GloveDrift, calibrate_glove
     from graspforce.learning.glove.fingertip_mapping import FingertipMap, FingertipMapper, MappedPosture, fit_fingertip_map
@@ -28,7 +31,7 @@ if TYPE_CHECKING:
     from graspforce.learning.inverse_kinematics import FingerStart, Network, fit_finger_start, fit_network
     from graspforce.learning.object_size import PreshapeModel, SizeCorrelation, correlate_with_size, fit_preshape
     from graspforce.learning.posture_library import PostureLibrary
-    from graspforce.learning.squeeze import SqueezeModel, fit_squeeze, squeeze_features, with_squeeze
+    from graspforce.learning.squeeze import SqueezeModel, fit_squeeze, robust_squeeze, squeeze_features, with_squeeze
     from graspforce.learning.synergies import Synergies, fit_synergies
 
 __all__ = [
@@ -47,6 +50,8 @@ __all__ = [
     "PostureLibrary",
     "PreshapeModel",
     "RankedGist",
+    "RecordedMotion",
+    "SimilarRecording",
     "SimulatedGlove",
     "SizeCorrelation",
     "SqueezeModel",
@@ -56,14 +61,19 @@ __all__ = [
     "action_gist",
     "calibrate_glove",
     "correlate_with_size",
+    "find_similar",
+    "finger_angles",
     "fit_finger_start",
     "fit_fingertip_map",
     "fit_network",
     "fit_preshape",
     "fit_squeeze",
     "fit_synergies",
+    "gist_similarity",
     "meta_motion_conditions",
     "rank_gists",
+    "recorded_motion",
+    "robust_squeeze",
     "segment_finger",
     "squeeze_features",
     "virtual_object",
@@ -72,7 +82,7 @@ __all__ = [
 
 _HOMES = {
     "posture_library": ("PostureLibrary",),
-    "squeeze": ("SqueezeModel", "fit_squeeze", "squeeze_features", "with_squeeze"),
+    "squeeze": ("SqueezeModel", "fit_squeeze", "robust_squeeze", "squeeze_features", "with_squeeze"),
     "synergies": ("Synergies", "fit_synergies"),
     "object_size": ("PreshapeModel", "SizeCorrelation", "correlate_with_size", "fit_preshape"),
     "inverse_kinematics": ("FingerStart", "Network", "fit_finger_start", "fit_network"),
@@ -82,6 +92,9 @@ _HOMES = {
     "glove.simulated_glove": ("SimulatedGlove",),
     "actions.meta_motions": ("META_MOTIONS", "meta_motion_conditions"),
     "actions.segmentation": ("GistSettings", "MotionSegment", "action_gist", "segment_finger"),
+    "actions.finger_angles": ("finger_angles",),
+    "actions.recorded_motion": ("RecordedMotion", "recorded_motion"),
+    "actions.retrieval": ("SimilarRecording", "find_similar", "gist_similarity"),
     "actions.gist_ranking": ("ActionGist", "GistHistogram", "RankedGist", "rank_gists"),
 }
 __getattr__ = lazy_exports(__name__, {name: f"{__name__}.{home}" for home, names in _HOMES.items() for name in names})

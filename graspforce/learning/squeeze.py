@@ -27,10 +27,13 @@ from graspforce.core.optional_libraries import optional_imports
 from graspforce.force.problem import ForceProblem
 from graspforce.force.problem_options import Objective
 from graspforce.force.solver import solve
+from graspforce.force.uncertainty import Uncertainty
 
 METHODS = ("boosting", "gaussian_process")
 _CALIBRATION = 1.0 / 3.0  # fraction of the runs
 _LEAST_RUNS = 30
+_MOST_LOSS = 0.95  # of the friction
+_LOSS_ACCURACY = 1e-4
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -177,6 +180,44 @@ def with_squeeze(problem: ForceProblem, total: float) -> ForceProblem:
         raise InvalidInput("total", total, "a squeeze within the largest normal forces of the contacts")
     contacts: ContactSet = replace(problem.contacts, min_normal=freeze(np.maximum(least, problem.contacts.min_normal)))
     return replace(problem, contacts=contacts)
+
+
+def robust_squeeze(problem: ForceProblem, total: float) -> ForceProblem:
+    """Return a robust problem: the errors of friction for which the least normal forces add up to a squeeze.
+
+    The squeeze is turned into the fraction e of friction that it can lose: the least normal forces with (1 − e) μ have this
+    sum. The forces of the returned problem then hold for every friction of at least (1 − e) μ, with their certificate.
+
+    Args:
+        problem: the problem, with friction and without uncertainty.
+        total: sum of the normal forces, such as `SqueezeModel.bound`, N, > 0. Below that of the nominal solution e is zero.
+
+    Raises:
+        InvalidInput: no forces support the wrench, the problem has an uncertainty, or no loss of friction needs so large a
+            squeeze.
+    """
+    total = arrays.check_number(total, "total", above=0.0)
+    if problem.uncertainty is not None:
+        raise InvalidInput("problem.uncertainty", "given", "None: the squeeze takes its place")
+    lowest, highest = 0.0, _MOST_LOSS
+    if float(nominal_normals(problem).sum()) >= total:
+        return replace(problem, uncertainty=Uncertainty(friction_error=0.0))
+    if (most := _needed(problem, highest)) is not None and most < total:
+        raise InvalidInput(
+            "total", total, f"at most {most:.4g} N, the squeeze after a loss of {_MOST_LOSS:.0%} of the friction"
+        )
+    while highest - lowest > _LOSS_ACCURACY:
+        middle = 0.5 * (lowest + highest)
+        needed = _needed(problem, middle)
+        lowest, highest = (middle, highest) if needed is not None and needed <= total else (lowest, middle)
+    return replace(problem, uncertainty=Uncertainty(friction_error=lowest))
+
+
+def _needed(problem: ForceProblem, loss: float) -> float | None:
+    """Return the least sum of normal forces after a loss of friction, N; None if no forces support the wrench."""
+    contacts = replace(problem.contacts, mu=(1.0 - loss) * problem.contacts.mu, gamma=(1.0 - loss) * problem.contacts.gamma)
+    solution = solve(replace(problem, contacts=contacts, objective=Objective("sum_normal")), explain=False)
+    return float(solution.f[problem.contacts.normal_rows].sum()) if solution.found else None
 
 
 def _fit(x: Array, y: Array, method: str, seed: int) -> Any:

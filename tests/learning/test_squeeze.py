@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from graspforce import Contact, ForceProblem, solve
 from graspforce.core.errors import InvalidInput
-from graspforce.learning import fit_squeeze, squeeze_features, with_squeeze
+from graspforce.force.certificate import primal_residual
+from graspforce.force.problem_options import Objective
+from graspforce.learning import fit_squeeze, robust_squeeze, squeeze_features, with_squeeze
 from graspforce.learning.squeeze import FEATURES, nominal_normals
 
 
@@ -84,3 +88,29 @@ def test_invalid_arguments_are_refused():
     ):
         with pytest.raises(InvalidInput, match=message):
             call()
+
+
+def test_robust_squeeze_loses_as_much_friction_as_the_squeeze_covers():
+    """The least normal forces of the robust problem add up to the squeeze, and a larger squeeze covers a larger loss."""
+    problem = replace(ring(), objective=Objective("sum_normal"))
+    nominal = float(nominal_normals(problem).sum())
+    losses = []
+    for total in (0.9 * nominal, 1.1 * nominal, 1.5 * nominal, 2.0 * nominal):
+        robust = robust_squeeze(problem, total)
+        assert robust.uncertainty is not None
+        losses.append(float(np.max(robust.uncertainty.friction_error)))
+        solution = solve(robust)
+        assert solution.found
+        assert float(solution.f[problem.contacts.normal_rows].sum()) == pytest.approx(max(total, nominal), rel=1e-3)
+        weaker = replace(problem.contacts, mu=(1.0 - losses[-1]) * problem.contacts.mu)
+        assert primal_residual(ForceProblem(weaker, problem.w), solution.f) <= 1e-6
+    assert losses[0] == 0.0
+    assert losses == sorted(losses)
+    assert losses[1] > 0.0
+
+
+def test_robust_squeeze_refuses_what_friction_does_not_explain():
+    with pytest.raises(InvalidInput, match="total"):
+        robust_squeeze(ring(), 1e6)
+    with pytest.raises(InvalidInput, match="uncertainty"):
+        robust_squeeze(robust_squeeze(ring(), 10.0), 12.0)
