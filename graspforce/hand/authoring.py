@@ -19,11 +19,11 @@ from graspforce.core.errors import InvalidInput, ModelError, UnknownName
 from graspforce.core.whole_file import write_text
 from graspforce.hand.descriptions import description as descriptions
 from graspforce.hand.descriptions import urdf
-from graspforce.hand.descriptions.urdf import Inertial, Urdf, UrdfJoint
+from graspforce.hand.descriptions.urdf import Urdf, UrdfJoint, UrdfLink
 from graspforce.hand.hand import Hand
 from graspforce.hand.shapes.fingertips import Fingertip, find_fingertips
 from graspforce.hand.shapes.meshes import Directories, find_mesh_file
-from graspforce.hand.shapes.shape_geometry import solid_moments
+from graspforce.hand.shapes.shape_geometry import diagonal_of_shapes, solid_moments
 
 DEFAULT_DENSITY = 1500.0  # kg/m³: between plastic with air and motors of steel and copper
 LARGEST_PLAUSIBLE_EFFORT = 5.0  # N·m; larger limits of a URDF are not those of a hand's motors
@@ -98,7 +98,8 @@ def describe_urdf(path: str | os.PathLike[str], output: str | os.PathLike[str], 
     - Fingers end at the moving links that carry no others. A tip frame is kept if it is at the centre of the pad: the centre of
       the sphere in the end of the link's shapes. Otherwise a frame is added there.
     - Mimic joints become couplings.
-    - Links without mass get that of their shapes at `density`; impossible inertias are replaced by those of the shapes.
+    - Links without mass get that of their shapes at `density`. Inertias that are impossible, or too large for the shapes, are
+      replaced by those of the shapes.
     - Torques and rates come from the URDF's limits if they are plausible. Rotor inertias are to be filled in.
 
     Args:
@@ -287,7 +288,7 @@ class _Editor:
         for link in self.model.links.values():
             if not link.shapes or not any(joint.is_moving for joint in self.model.chain(link.name)):
                 continue
-            fault = _inertia_fault(link.inertial)
+            fault = self._inertia_fault(link)
             if not fault:
                 continue
             try:
@@ -310,6 +311,20 @@ class _Editor:
             )
             self.remarks.append(f"Link {link.name} {fault}: {1e3 * mass:.3g} g from its {how}.")
         return found
+
+    def _inertia_fault(self, link: UrdfLink) -> str:
+        """Return why the inertia of a link with shapes cannot be used; empty if it can."""
+        if link.inertial is None or link.inertial.mass <= 0.0:
+            return "has no mass"
+        moments = np.linalg.eigvalsh(link.inertial.I)
+        if moments[0] <= 0.0 or moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-6):
+            return "has an impossible inertia"
+        try:
+            diagonal = diagonal_of_shapes(link.shapes, self._source, self._options.directories)  # m
+        except ModelError:
+            return ""
+        radius = float(np.sqrt(moments[2] / link.inertial.mass))  # m, of gyration
+        return "has an inertia that is too large for its shapes" if radius > diagonal / 2.0 > 0.0 else ""
 
     def _keep_branch(self, model: Urdf, base: str) -> None:
         """Remove everything that is not carried by a link."""
@@ -347,16 +362,6 @@ class _Editor:
         ElementTree.SubElement(joint, "child", link=name)
         ElementTree.SubElement(joint, "origin", xyz=" ".join(f"{x:.6g}" for x in np.round(p, 6) + 0.0), rpy="0 0 0")
         self.is_changed = True
-
-
-def _inertia_fault(inertial: Inertial | None) -> str:
-    """Return why an inertia cannot be used; empty if it can."""
-    if inertial is None or inertial.mass <= 0.0:
-        return "has no mass"
-    moments = np.linalg.eigvalsh(inertial.I)
-    if moments[0] <= 0.0 or moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-6):
-        return "has an impossible inertia"
-    return ""
 
 
 def _rounded(value: float) -> float:

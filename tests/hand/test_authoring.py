@@ -96,6 +96,19 @@ def test_new_description_loads_after_its_numbers_are_filled_in(tmp_path: Path) -
     assert lint_hand(path) == ()
 
 
+def test_inertias_in_another_unit_become_those_of_the_shapes(tmp_path: Path) -> None:
+    """The proximal link's inertia in g·m², as if it were kg·m²: its radius of gyration is 32 times too large."""
+    text = ROBOT.replace('ixx="5e-6" iyy="5e-6" izz="1e-6"', 'ixx="5e-3" iyy="5e-3" izz="1e-3"')
+    (tmp_path / "robot.urdf").write_text(text.format(leader="r_index_1", tip=CENTRE))
+    described = describe_urdf(tmp_path / "robot.urdf", tmp_path / "my_hand.json", AuthoringOptions(base="palm"))
+    assert any("r_index_proximal has an inertia that is too large for its shapes" in remark for remark in described.remarks)
+    (entry,) = [each for each in described.record["inertias"] if each["link"] == "r_index_proximal"]
+    assert entry["mass"] == 0.03
+    m, r, length = 0.03, 0.008, 0.04
+    across, along = m * (3.0 * r**2 + length**2) / 12.0, m * r**2 / 2.0
+    np.testing.assert_allclose(entry["inertia"], [across, across, along, 0.0, 0.0, 0.0], rtol=1e-4, atol=1e-12)
+
+
 def test_tip_frames_are_at_the_centres_of_the_pads(tmp_path: Path) -> None:
     """The index ends in a hemisphere of 7 mm about z = 23 mm; the thumb in a box 14 mm thick up to z = 60 mm."""
     described, path = describe(tmp_path)

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+GIVE_INERTIA = "give the inertia of its shape at uniform density, in the URDF or under inertias in the description"
+"""Remedy of a wrong inertia."""
+
 
 @dataclass(frozen=True, slots=True)
 class Finding:

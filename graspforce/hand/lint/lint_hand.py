@@ -22,8 +22,8 @@ from graspforce.hand.descriptions.description import HandDescription, HandSource
 from graspforce.hand.descriptions.urdf import Inertial, Urdf, UrdfJoint, UrdfLink
 from graspforce.hand.drives.joint_friction import is_plausible
 from graspforce.hand.kinematics import resolution
-from graspforce.hand.lint.findings import Finding
-from graspforce.hand.lint.shape_checks import check_densities, check_pads, check_tips
+from graspforce.hand.lint.findings import GIVE_INERTIA, Finding
+from graspforce.hand.lint.shape_checks import check_densities, check_gyration_radii, check_pads, check_tips
 from graspforce.hand.lint.unit_checks import check_joint_numbers, check_motor_numbers
 
 _LARGEST_PLAUSIBLE_TORQUE = 5.0  # N·m, at a joint of a hand of human size; real hands have 0.1 to 2 N·m
@@ -31,7 +31,6 @@ _LARGEST_PLAUSIBLE_FORCE = 1000.0  # N, of a prismatic joint; industrial gripper
 _ROUNDING = 1e-6  # of the trace: error of the triangle inequality for moments with six digits
 _CENTRE_TOLERANCE = 2e-3  # m, between the centre of mass and the centre of the shapes
 
-_GIVE_INERTIA = "give the inertia of its shape at uniform density, in the URDF or under inertias in the description"
 _GIVE_MASS = "give its mass and inertia, in the URDF or under inertias in the description"
 _GIVE_CENTRE = "give its centre of mass, in the URDF or under inertias in the description"
 _GIVE_TORQUE = "give the motor's torque at the joint in the description file"
@@ -53,6 +52,7 @@ def lint_hand(hand: str | os.PathLike[str]) -> tuple[Finding, ...]:
         model = urdf.read(text, str(path))
         findings = [
             *_check_links(model, None),
+            *check_gyration_radii(model, path),
             *check_densities(model, path),
             *check_joint_numbers(model),
             *_check_urdf_joints(model),
@@ -64,6 +64,7 @@ def lint_hand(hand: str | os.PathLike[str]) -> tuple[Finding, ...]:
             *unfilled,
             *_check_loading(files),
             *_check_links(files.urdf, files.description),
+            *check_gyration_radii(files.urdf, files.urdf_path),
             *check_densities(files.urdf, files.urdf_path),
             *check_joint_numbers(files.urdf),
             *check_tips(files.urdf, files.description, files.urdf_path),
@@ -88,7 +89,6 @@ def _check_links(model: Urdf, description: HandDescription | None) -> Iterator[F
         else:
             if not _is_point_mass(model, link, link.inertial):
                 yield from _check_moments(link, link.inertial, movers[-1])
-            yield from _check_gyration_radius(link, link.inertial, movers[-1])
             yield from _check_centre_of_mass(model, link, link.inertial)
 
 
@@ -132,7 +132,7 @@ def _check_moments(link: UrdfLink, inertial: Inertial, joint: UrdfJoint) -> Iter
             f"link {link.name}",
             f"its inertia is not positive definite: principal moments {', '.join(f'{x:.3g}' for x in moments)} kg·m²",
             f"M can lose positive definiteness: {joint.name} may accelerate against its torque",
-            _GIVE_INERTIA,
+            GIVE_INERTIA,
         )
     elif moments[2] - moments[1] - moments[0] > _ROUNDING * moments.sum():
         excess = 100 * (moments[2] / (moments[0] + moments[1]) - 1)
@@ -142,34 +142,7 @@ def _check_moments(link: UrdfLink, inertial: Inertial, joint: UrdfJoint) -> Iter
             f"link {link.name}",
             f"its inertia violates the triangle inequality: {sides}",
             f"no body has this inertia; torques that accelerate {joint.name} are wrong, and simulators may reject the file",
-            _GIVE_INERTIA,
-        )
-
-
-def _check_gyration_radius(link: UrdfLink, inertial: Inertial, joint: UrdfJoint) -> Iterator[Finding]:
-    """Compare the radius of gyration with the size of the link's shapes."""
-    moments = np.linalg.eigvalsh(inertial.I)  # kg·m², ascending
-    low, high = _extent(link)
-    diagonal = float(np.linalg.norm(high - low))  # m
-    if moments[0] <= 0 or not diagonal > 0:
-        return
-    radius = float(np.sqrt(moments[2] / inertial.mass))  # m
-    gyration, size = f"its radius of gyration, {1e3 * radius:.2f} mm,", f"its diagonal, {1e3 * diagonal:.1f} mm"
-    if radius > diagonal / 2:  # the limit: all mass at the two ends of the diagonal
-        yield Finding(
-            "error",
-            f"link {link.name}",
-            f"{gyration} is more than half of {size}",
-            f"no body of this size has it; torques that accelerate {joint.name} are too large",
-            f"{_GIVE_INERTIA}; possibly the inertia is about the joint instead of the centre of mass",
-        )
-    elif radius < diagonal / 20:  # a sixth of a uniform bar's
-        yield Finding(
-            "warning",
-            f"link {link.name}",
-            f"{gyration} is less than a twentieth of {size}",
-            f"the link rotates like a point mass; torques that accelerate {joint.name} are too small",
-            _GIVE_INERTIA,
+            GIVE_INERTIA,
         )
 
 

@@ -10,15 +10,57 @@ import numpy as np
 from graspforce.core.errors import ModelError
 from graspforce.hand.descriptions.description import FingerDescription, HandDescription
 from graspforce.hand.descriptions.urdf import Urdf
-from graspforce.hand.lint.findings import Finding
+from graspforce.hand.lint.findings import GIVE_INERTIA, Finding
 from graspforce.hand.shapes.fingertips import Fingertip, find_fingertips
-from graspforce.hand.shapes.shape_geometry import distance_to_shapes, solid_moments
+from graspforce.hand.shapes.shape_geometry import diagonal_of_shapes, distance_to_shapes, solid_moments
 
 _DENSITIES = (100.0, 12000.0)  # kg/m³, of a link: from hollow plastic to steel, with overlapping or generous shapes
 _SOFT_CONTACT_CONSTRAINTS = 4  # three velocities of the contact point, and the spin about the normal
 _PAD_OFFSET = 1.25  # of the pad's radius: further away, the frame is neither at its centre nor on its surface
 _LARGEST_TIP_DISTANCE = 0.005  # m, of a tip frame from the shapes of its link, beyond the tip's radius
 _RADIUS_RATIOS = (0.4, 2.5)  # of a tip's radius, to that of the sphere in the end of its link
+
+
+def check_gyration_radii(model: Urdf, urdf: Path) -> Iterator[Finding]:
+    """Compare the radius of gyration of each moving link with the size of its shapes.
+
+    Args:
+        model: links and joints.
+        urdf: path of the URDF, for its mesh files. Links whose meshes are not found are not checked.
+    """
+    for link in model.links.values():
+        movers = [joint for joint in model.chain(link.name) if joint.is_moving]
+        if not movers or link.inertial is None or link.inertial.mass <= 0 or not link.shapes:
+            continue
+        moments = np.linalg.eigvalsh(link.inertial.I)  # kg·m², ascending
+        try:
+            diagonal = diagonal_of_shapes(link.shapes, urdf)  # m
+        except ModelError:
+            continue
+        if moments[0] <= 0 or not diagonal > 0:
+            continue
+        yield from _check_gyration_radius(link.name, movers[-1].name, float(np.sqrt(moments[2] / link.inertial.mass)), diagonal)
+
+
+def _check_gyration_radius(link: str, joint: str, radius: float, diagonal: float) -> Iterator[Finding]:
+    """Compare the largest radius of gyration of a link with the diagonal of its shapes, both in m."""
+    gyration, size = f"its radius of gyration, {1e3 * radius:.2f} mm,", f"its diagonal, {1e3 * diagonal:.1f} mm"
+    if radius > diagonal / 2:  # the limit: all mass at the two ends of the diagonal
+        yield Finding(
+            "error",
+            f"link {link}",
+            f"{gyration} is more than half of {size}",
+            f"no body of this size has it; torques that accelerate {joint} are too large",
+            f"{GIVE_INERTIA}; possibly the inertia is about the joint instead of the centre of mass, or in another unit",
+        )
+    elif radius < diagonal / 20:  # a sixth of a uniform bar's
+        yield Finding(
+            "warning",
+            f"link {link}",
+            f"{gyration} is less than a twentieth of {size}",
+            f"the link rotates like a point mass; torques that accelerate {joint} are too small",
+            GIVE_INERTIA,
+        )
 
 
 def check_densities(model: Urdf, urdf: Path) -> Iterator[Finding]:

@@ -86,6 +86,21 @@ def outer_points(shape: UrdfShape, urdf: Path, directories: Directories = ()) ->
     return np.asarray(shape.p + points @ shape.R.T)
 
 
+def diagonal_of_shapes(shapes: Sequence[UrdfShape], urdf: Path, directories: Directories = ()) -> float:
+    """Return the diagonal of the box around shapes of one link, along the link's axes, m.
+
+    Args:
+        shapes: shapes of one link, at least one.
+        urdf: path of the URDF, for its mesh files.
+        directories: directories to search for meshes first; see `find_mesh_file`.
+
+    Raises:
+        ModelError: a mesh is not found or cannot be read, or a shape is of an unknown kind.
+    """
+    points = np.concatenate([outer_points(shape, urdf, directories) for shape in shapes])
+    return float(np.linalg.norm(np.ptp(points, axis=0)))
+
+
 def _directions(count: int = 200) -> Array:
     """Return unit vectors (count, 3) on a golden spiral."""
     k = np.arange(count) + 0.5

@@ -121,6 +121,20 @@ def test_link_fault_is_found_with_its_consequence(case: str, tmp_path: Path) -> 
     assert finding.remedy
 
 
+def test_inertia_is_compared_with_the_size_of_meshes(tmp_path: Path) -> None:
+    """The bar as a mesh, with its inertia, and with one in g·m² that is taken for kg·m²."""
+    corners = [(x, y, z) for x in (0.0, 0.06) for y in (-0.008, 0.008) for z in (-0.008, 0.008)]
+    faces = ((1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4))
+    triangles = [corner for a, b, c, d in faces for corner in ((a, b, c), (a, c, d))]
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {a} {b} {c}" for a, b, c in triangles]
+    (tmp_path / "bar.obj").write_text("\n".join(lines) + "\n")
+    mesh = '<collision><geometry><mesh filename="bar.obj"/></geometry></collision>'
+    assert lint_hand(description(tmp_path, shape=mesh)) == ()
+    finding = only_finding(lint_hand(description(tmp_path, shape=mesh, I=(1.707e-3, 1.285e-2, 1.285e-2, 0.0))), "gyration")
+    assert (finding.severity, finding.location) == ("error", "link bar")
+    assert "566.79 mm, is more than half of its diagonal, 64.1 mm" in finding.problem
+
+
 JOINT_FAULTS: dict[str, tuple[dict[str, object], str, str]] = {
     "no effort": ({"limit": '<limit lower="-0.5" upper="1" velocity="3"/>'}, "error", "effort limit is missing"),
     "zero effort": ({"limit": LIMIT.replace('0.5" v', '0" v')}, "error", "effort limit is 0"),
