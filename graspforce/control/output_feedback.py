@@ -8,10 +8,14 @@ A monitor may run beside the estimator. It estimates contact forces, slip, frict
 press harder from the same period on (`slip_reflex`). Those whose slip is evident from the motion do not determine the motion of
 the object along their surface.
 A finger that has slipped is planned with the friction that this shows, if it is less than that of the contact.
+
+When contacts let go or join, estimator and monitor continue with the contacts that are left, from the estimated pose. A finger
+that joins determines the object's motion once its force is no longer limited.
 """
 
 from __future__ import annotations
 
+import copy
 import math
 import operator
 from collections.abc import Sequence
@@ -22,12 +26,15 @@ import numpy as np
 import numpy.typing as npt
 
 from graspforce.control.command import Command, free_torque
+from graspforce.control.contacts.contact_change import ContactChange
 from graspforce.control.contacts.contact_conditions import ContactConditions, Mask, make_conditions
+from graspforce.control.grasp_control import GraspControl
 from graspforce.control.memory import ControlMemory
 from graspforce.control.object_control_law import ObjectControlLaw
 from graspforce.control.settings import ControlSettings
 from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, object_motion
 from graspforce.core.arrays import Array
+from graspforce.core.errors import InvalidInput
 from graspforce.core.records import make_unchecked, unchecked_constructor
 from graspforce.estimation.estimate import EstimatorMemory, GraspEstimate
 from graspforce.estimation.grasp_estimator import GraspEstimator
@@ -111,12 +118,47 @@ class OutputFeedbackLaw:
         self.settings = settings
         self.law = ObjectControlLaw(grasp, self.settings)
         self.estimator = GraspEstimator(grasp, self.sensors, self.settings.period)
+        self.monitor: GraspMonitor | None = None
+        self._set_grasp(grasp, self.sensors.has_force_sensors if monitored is None else monitored)
+
+    def _set_grasp(self, grasp: Grasp, monitored: bool) -> None:
+        """Set what depends on the contacts."""
         self._grasp, self._mu = grasp, grasp.contacts.mu * (1.0 - self.settings.friction_error)
         count = len(grasp.contacts)
         self._calm = ContactConditions(np.zeros(count, bool), None, (), np.ones(count, bool))  # nothing slips, all touch
-        self.monitor: GraspMonitor | None = None
-        if self.sensors.has_force_sensors if monitored is None else monitored:
+        if monitored:
             self.monitor = GraspMonitor(grasp, self.sensors, self.settings.period, self.settings.gravity_H)
+
+    def with_contacts(self, law: ObjectControlLaw) -> OutputFeedbackLaw:
+        """Return the estimator and another control law of the same hand and object, with its contacts.
+
+        Args:
+            law: the control law; its grasp has the present pose of the object.
+        """
+        changed = copy.copy(self)
+        changed.law, changed.estimator = law, self.estimator.with_grasp(law.grasp)
+        changed._set_grasp(law.grasp, self.monitor is not None)
+        return changed
+
+    def continued_memory(
+        self, memory: OutputFeedbackMemory, control: ControlMemory, fingers: Sequence[str], q: Array
+    ) -> OutputFeedbackMemory:
+        """Return the memory of this law after the last step of a law with other contacts.
+
+        The monitor starts anew: it has one state for all contacts.
+
+        Args:
+            memory: memory after that step.
+            control: memory of this control law.
+            fingers: fingers of the other contacts.
+            q: (n,) estimated joint positions in that step, rad.
+        """
+        estimator = None if memory.estimator is None else self.estimator.continued_memory(memory.estimator, q)
+        slipping = memory.slipping
+        if slipping is not None:
+            before = dict(zip(fingers, slipping.tolist(), strict=True))
+            slipping = np.array([before.get(name, False) for name in self._grasp.fingers])
+        return memory._replace(control=control, estimator=estimator, monitor=None, slipping=slipping)
 
     def initial_memory(self, control: ControlMemory | None = None, offset: PoseOffset | None = None) -> OutputFeedbackMemory:
         """Return the memory before the first step.
@@ -154,6 +196,9 @@ class OutputFeedbackLaw:
             conditions.check(self._grasp)
             if conditions.lost:
                 touching = np.array([finger not in conditions.lost for finger in self._grasp.fingers])
+        ramp = memory.control.ramp
+        if ramp is not None and (is_joining := np.isfinite(ramp.limit) & ~ramp.releasing).any():
+            touching = ~is_joining if touching is None else touching & ~is_joining
         before = memory.estimator or self.estimator.initial_memory(measurement, offset=memory.offset)
         slipping = memory.slipping if memory.slipping is not None and True in memory.slipping.tolist() else None
         inputs = before, measurement, memory.joint_acceleration
@@ -225,8 +270,10 @@ class OutputFeedbackController:
         sensors: SensorModel | None = None,
         monitored: bool | None = None,
     ) -> None:
-        self._law = OutputFeedbackLaw(grasp, settings, sensors, monitored)
+        self._law = self._first_law = OutputFeedbackLaw(grasp, settings, sensors, monitored)
         self._sensors, self._monitored = sensors, monitored
+        self._memory = self._law.initial_memory()
+        self._released: ObjectControlLaw | None = None
         self.reset()
 
     @property
@@ -241,12 +288,58 @@ class OutputFeedbackController:
 
         Args:
             grasp: the same hand, fingers and contact models with other numbers.
+
+        Raises:
+            InvalidInput: contacts let go or join now.
         """
-        self._law = OutputFeedbackLaw(grasp, self._law.settings, self._sensors, self._monitored)
+        if self.is_changing:
+            raise InvalidInput("grasp", grasp, "given when no contacts let go or join")
+        self._law = self._first_law = OutputFeedbackLaw(grasp, self._law.settings, self._sensors, self._monitored)
+
+    @property
+    def grasp(self) -> Grasp:
+        """The present grasp: that of the start until contacts change."""
+        return self._law.law.grasp
+
+    @property
+    def is_changing(self) -> bool:
+        """Whether contacts let go or join."""
+        return self._memory.control.ramp is not None
+
+    def change_contacts(self, change: ContactChange) -> None:
+        """Begin a change of the contacts, as `ObjectController.change_contacts`, at the estimated state of the last step.
+
+        Estimator and monitor continue with the contacts that are left or join, from the estimated pose of the object. The
+        estimates of slip, friction and payload start anew then.
+
+        Args:
+            change: fingers that let go, and contacts of fingers that join; these fingertips are at their contacts.
+
+        Raises:
+            InvalidInput: no step was made, another change is in progress, a finger that joins has a contact, or no contact
+                would be left.
+            UnknownName: no such finger, or a finger that lets go has no contact.
+        """
+        if self.estimate is None:
+            raise InvalidInput("change", change, "made after the first step, which estimates the state")
+        state = _make_state(self.estimate.q, self.estimate.v, self.estimate.object)
+        control = GraspControl(self._law.law, self._memory.control)
+        self._continue_with_contacts(control.begin(control.prepare(change, state), state))
+
+    def _continue_with_contacts(self, control: GraspControl) -> None:
+        """Continue with a control law, maybe of other contacts, at the estimated state of the last step."""
+        assert self.estimate is not None  # a step was made
+        self._released = control.released
+        if control.law is self._law.law:
+            self._memory = self._memory._replace(control=control.memory)
+            return
+        fingers, self._law = self.grasp.fingers, self._law.with_contacts(control.law)
+        self._memory = self._law.continued_memory(self._memory, control.memory, fingers, self.estimate.q)
 
     def reset(self) -> None:
-        """Forget everything, as before the first step."""
-        self._memory = self._law.initial_memory()
+        """Forget everything, as before the first step, and return to the contacts of the start."""
+        self._law = self._first_law
+        self._memory, self._released = self._law.initial_memory(), None
         self.estimate: GraspEstimate | None = None
         self.monitor: GraspMonitorEstimate | None = None
 
@@ -284,6 +377,11 @@ class OutputFeedbackController:
         conditions = make_conditions(slipping, friction, lost)
         step = self._law.step(self._memory, measurement, desired, external, conditions)
         self.estimate, self.monitor, self._memory = step.estimate, step.monitor, step.memory
+        if step.memory.control.ramp is not None:
+            control = GraspControl(self._law.law, step.memory.control, self._released)
+            rest = control.without_released(_make_state(step.estimate.q, step.estimate.v, step.estimate.object))
+            if rest is not control:
+                self._continue_with_contacts(rest)
         return step.command
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 
 import numpy as np
@@ -62,6 +63,31 @@ class GraspEstimator:
         )
         self._smoothing = -math.expm1(-self.period / self.settings.offset_time)
         self._history_length = round(self.settings.history / self.period)
+
+    def with_grasp(self, grasp: Grasp) -> GraspEstimator:
+        """Return the estimator of the same hand with other contacts. It shares the filters and is faster than a new one.
+
+        Args:
+            grasp: the grasp, with the pose of the object from which its contacts are tracked.
+        """
+        estimator = copy.copy(self)
+        estimator.grasp, estimator._parts = grasp, self._parts._replace(tracker=make_tracker(grasp, self.period))
+        return estimator
+
+    def continued_memory(self, memory: EstimatorMemory, q: Array) -> EstimatorMemory:
+        """Return a memory in which the contacts of this estimator start anew, at the pose of its grasp.
+
+        Joint filter, camera offset and history stay. Distances of the fingertips from their contacts count as in
+        `initial_memory`.
+
+        Args:
+            memory: memory after a step with other contacts, when the object was at that pose.
+            q: (n,) joint positions then, rad.
+        """
+        parts = self._parts
+        variance = float(parts.joints.covariance(memory.joints)[0, 0])  # rad²
+        pose, reference = parts.tracker.start(q, variance, self.settings.contact_error)
+        return memory._replace(pose=pose, reference=reference._replace(start=None))
 
     def initial_memory(self, measurement: Measurement, samples: int = 1, offset: PoseOffset | None = None) -> EstimatorMemory:
         """Return the memory at the start of the grasp, when the object is at the pose of the grasp.

@@ -36,6 +36,7 @@ from graspforce.hand.hand import Hand
 FORCE_RATE = 20.0  # N/s
 _NEGLIGIBLE = 1e-3  # N: a contact with a lower limit carries nothing
 _LEAST_CHANGE = 1e-5  # N: the limits move at least by this in a step, so that every change ends
+_LEAST_SHARE = 0.05  # of the largest change of a step: noise of an estimated state moves all forces, and must not stop the ramp
 _FIRST_SHARE = 0.1  # of the largest change of a step: the first one, which shows how the forces follow
 _GROWTH = 1.5  # largest ratio of the changes of two steps
 _FREE_SHARE = 0.95  # of its limit: a smaller force is no longer limited by it
@@ -212,7 +213,8 @@ class ForceRamp:
         if normal_force is None or self.normal_force is None:
             return min(largest, _GROWTH * self.change)
         seen = float(np.abs(normal_force - self.normal_force).max())  # N
-        return min(largest * min(1.0, self.change / max(seen, _LEAST_CHANGE)), _GROWTH * self.change)
+        share = min(1.0, max(self.change / max(seen, _LEAST_CHANGE), _LEAST_SHARE))
+        return min(largest * share, _GROWTH * self.change)
 
     def _moved(self, limit: Array, change: float, normal_force: Array | None) -> ForceRamp:
         """Return the ramp with other limits."""

@@ -7,6 +7,7 @@ While a finger lets go, the margin may become infeasible. It then falls at the s
 other fingers, and the force of the finger waits as long.
 
 Where a small step of the ramp moves a force by more than 2 r Δt, with the rate r of the ramp, a part of the step is taken.
+Changes of the forces that the state causes do not count.
 """
 
 from __future__ import annotations
@@ -136,11 +137,17 @@ class ForcePlanner:
     def _divide_step(
         self, plan: ContactPlan, forces: MarginResult, memory: ControlMemory, targets: StepTargets, tau_u: Array
     ) -> tuple[ContactPlan, MarginResult]:
-        """Return plan and forces of a part of the step, in which no force changes too much; of all of it if none does."""
+        """Return plan and forces of a part of the step, in which no force changes too much; of all of it if none does.
+
+        What the state alone changes does not count: noise of an estimated state moves the forces more than the ramp.
+        """
         ramp, last, share = memory.ramp, memory.f, 1.0
         if ramp is None or last is None:
             return plan, forces
         largest = _MOST_CHANGE * ramp.rate * self._settings.period  # N
+        if forces.f is not None and float(np.abs(forces.f - last).max()) > largest:
+            held = self._solve(plan._replace(ramp=ramp), targets, tau_u)
+            last = last if held.f is None else held.f
         for _ in range(_DIVISIONS):
             change = 0.0 if forces.f is None else float(np.abs(forces.f - last).max())  # N
             if change <= largest:
