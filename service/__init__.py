@@ -20,6 +20,7 @@ with optional_imports("zenoh"):
     from graspforce.service.wire.grasp_records import GraspRequest
     from graspforce.service.wire.joint_records import JointStreamSetup, RemoteJointCommand
     from graspforce.service.wire.phase_records import PhaseStreamSetup, RemotePhaseCommand
+    from graspforce.service.wire.regrasp_records import RegraspRequest
     from graspforce.service.wire.reply import Reply
     from graspforce.service.wire.status_records import ServerStatus
     from graspforce.service.wire.stream_state import StreamState
@@ -34,6 +35,7 @@ __all__ = [
     "JointStreamSetup",
     "PhaseStream",
     "PhaseStreamSetup",
+    "RegraspRequest",
     "RemoteCommand",
     "RemoteJointCommand",
     "RemotePhaseCommand",

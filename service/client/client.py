@@ -29,6 +29,7 @@ from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import RankedGrasp
 from graspforce.hand.hand import Hand
 from graspforce.planning import IdealTask, Move, Plan, PlanFailure, ProgressCallback
+from graspforce.planning.regrasp import RegraspPlan
 from graspforce.service.client.command_stream import CommandStream, OpenSetup, StreamLink
 from graspforce.service.client.joint_stream import JointStream
 from graspforce.service.client.open_session import open_session
@@ -55,6 +56,7 @@ from graspforce.service.wire.kinematics_records import TipPose, read_posture, re
 from graspforce.service.wire.phase_records import PhaseStreamSetup
 from graspforce.service.wire.plan_records import read_answer
 from graspforce.service.wire.protocol import Envelope
+from graspforce.service.wire.regrasp_records import RegraspRequest, read_regrasp
 from graspforce.service.wire.status_records import ServerStatus
 from graspforce.service.zenoh_session import MAX_MESSAGE_BYTES
 
@@ -279,6 +281,30 @@ class Client:
         record = {**move.to_dict(), "id": id}
         answer = self._query_job(f"{protocol.hand_key(move.task.hand.name)}/plan", record, budget, callback)
         return parse_record(partial(read_answer, move), answer)
+
+    def plan_regrasp(
+        self,
+        request: RegraspRequest,
+        *,
+        budget: float = _PLAN_BUDGET,
+        callback: ProgressCallback | None = None,
+        id: str | None = None,
+    ) -> RegraspPlan | PlanFailure:
+        """Plan object moves and finger steps to a goal pose, as `graspforce.planning.regrasp.plan_regrasp_to`.
+
+        A failure is an answer with its reason, not an exception. `RegraspController` executes the plan.
+
+        Args:
+            request: grasp, goal pose and settings, for one of `hands`.
+            budget: time for the search, s (default 10.0).
+            callback: called with the progress, in this thread: `iteration` counts finger steps that were tried, `fraction` is
+                the farthest place on a path. Return False to stop.
+            id: as in `plan`.
+        """
+        self._require("regrasp_search")
+        record = {**request.to_dict(), "id": self._named_id(id)}
+        key = f"{protocol.hand_key(request.goal.grasp.hand.name)}/regrasp"
+        return parse_record(partial(read_regrasp, request.goal), self._query_job(key, record, budget, callback))
 
     def find_grasp(self, hand: Hand, request: GraspRequest, *, budget: float = _PLAN_BUDGET, id: str | None = None) -> Grasp:
         """Find a grasp of an object, as `graspforce.find_grasp`.

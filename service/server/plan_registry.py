@@ -1,6 +1,6 @@
 """The active plans of a server: begin, cancel, and answer exactly once. It does not use the network.
 
-A plan is a move or the search for a grasp.
+A plan is a move, a regrasp or the search for a grasp.
 
 Each plan has an id, by which clients follow and cancel it, and a thread that waits for a planning process. Clients take turns.
 A plan ends with the answer of its process, at the end of its budget, or when it is cancelled: then with the best plan so far.
@@ -77,10 +77,10 @@ class PlanRegistry:
         received: float | None = None,
         client: bytes = b"",
     ) -> None:
-        """Begin to plan a move or to find a grasp, and return at once.
+        """Begin to plan a move or a regrasp, or to find a grasp, and return at once.
 
         Args:
-            key: key of the request after the prefix: ``hands/<hand>/plan`` or ``hands/<hand>/grasp``.
+            key: key of the request after the prefix: ``hands/<hand>/`` and one of `TASKS` of planning processes.
             payload: the encoded request.
             encoding: its Zenoh encoding; None for JSON.
             answer: called exactly once with the reply, from any thread. Invalid requests get an error record.
@@ -177,7 +177,7 @@ class PlanRegistry:
                 worker.close()  # this ends the wait of the remaining plans, and they are answered
 
     def _read_job(self, key: str, codec: str, request: object, received: float) -> PlanningJob:
-        """Return the job of a request. The planning process reads the move, or the request for a grasp, itself."""
+        """Return the job of a request. The planning process reads the record itself."""
         envelope, record = protocol.Envelope.split(request)
         if envelope.backend is not None:
             raise InvalidInput("backend", envelope.backend, "absent: planning selects its own solvers")

@@ -39,7 +39,7 @@ from graspforce.service.wire.kinematics_records import forward_record, inverse_r
 from graspforce.service.wire.reply import Reply, make_error_reply, make_failure_reply
 from graspforce.service.wire.schemas.catalogue import SCHEMA, wire_schema
 from graspforce.service.wire.status_records import ServerStatus
-from graspforce.service.workers.jobs import GRASP, PLAN
+from graspforce.service.workers.jobs import TASKS
 from graspforce.service.workers.planning_worker import PlanningWorker
 
 # The changes that would make an infeasible problem feasible take about forty solves. They are omitted if the time is short or
@@ -47,9 +47,11 @@ from graspforce.service.workers.planning_worker import PlanningWorker
 _SEND_TIME = 0.1  # s of the budget that are kept for the answer's way back
 _MAX_EXPLANATION_TIME = 1.0  # s, because other requests wait
 _MAX_ENTRIES_TO_EXPLAIN = 100_000  # of the constraint matrix
-HAND_TASKS = ("control", "distribute", "forward", "inverse", PLAN, GRASP)  # last parts of the keys below hands/<hand>
+HAND_TASKS = ("control", "distribute", "forward", "inverse", *TASKS)  # last parts of the keys below hands/<hand>
 _MESSAGES = ("/state", "/command")  # ends of the keys of a stream's messages
-_CAPABILITIES = ("grasp_search", "measurements", "contact_changes", "authenticated_streams", "torque_step", "client_keys")
+_CAPABILITIES = (
+    "grasp_search", "measurements", "contact_changes", "authenticated_streams", "torque_step", "client_keys", "regrasp_search",
+)  # fmt: skip
 log = logging.getLogger("graspforce.service")
 
 MAX_PARSED_BYTES = 64 * 2**10  # of a refused request, which is parsed only for its sequence number
@@ -163,8 +165,8 @@ class RequestHandler:
 
     @property
     def plan_keys(self) -> tuple[str, ...]:
-        """Keys after the prefix that planning processes serve: moves and grasps."""
-        return tuple(f"{protocol.hand_key(name)}/{task}" for name in self._hands for task in (PLAN, GRASP))
+        """Keys after the prefix that planning processes serve: moves, regrasps and grasps."""
+        return tuple(f"{protocol.hand_key(name)}/{task}" for name in self._hands for task in TASKS)
 
     def answer(
         self, key: str, payload: bytes, encoding: str | None = None, received: float | None = None, client: bytes = b""

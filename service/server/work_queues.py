@@ -28,7 +28,7 @@ from graspforce.service.server.fair_queue import FairQueue
 from graspforce.service.server.free_memory import release_free_memory
 from graspforce.service.server.limits import ServerLimits
 from graspforce.service.server.request_worker import RequestWorker, RequestWorkers
-from graspforce.service.workers.jobs import GRASP, PLAN
+from graspforce.service.workers.jobs import TASKS
 
 _LARGE_BYTES = 8 * 2**10  # of the payload of a large problem
 _STATUS_CAPACITY = 256  # waiting requests
@@ -227,4 +227,4 @@ def cost_class(key: str, size: int) -> CostClass:
         return CostClass.LARGE if size > _LARGE_BYTES else CostClass.SMALL
     if first == "streams" or task in ("control", "inverse"):
         return CostClass.SMALL
-    return CostClass.PLAN if task in (PLAN, GRASP) else CostClass.STATUS
+    return CostClass.PLAN if task in TASKS else CostClass.STATUS

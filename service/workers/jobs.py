@@ -1,4 +1,7 @@
-"""Messages between the server and a planning process, and the replies that they carry. Jobs are moves and grasp searches."""
+"""Messages between the server and a planning process, and the replies that they carry.
+
+Jobs are moves, regrasps and grasp searches.
+"""
 
 from __future__ import annotations
 
@@ -11,30 +14,33 @@ from graspforce.grasp.search import RankedGrasp
 from graspforce.hand.hand import Hand
 from graspforce.planning import Plan, PlanFailure
 from graspforce.planning.progress import stopped_failure
+from graspforce.planning.regrasp import RegraspPlan
 from graspforce.service.wire import protocol
 from graspforce.service.wire.grasp_records import write_grasps
 from graspforce.service.wire.plan_records import write_answer
+from graspforce.service.wire.regrasp_records import write_regrasp
 from graspforce.service.wire.reply import Reply, make_error_reply
 
 PROGRESS, BEST_SO_FAR, ANSWER = "progress", "so far", "answer"  # kinds of WorkerMessage
-PLAN, GRASP = "plan", "grasp"  # tasks of PlanningJob, and the last parts of their keys
+PLAN, GRASP, REGRASP = "plan", "grasp", "regrasp"  # tasks of PlanningJob, and the last parts of their keys
+TASKS = (PLAN, GRASP, REGRASP)
 CANCEL = "cancel"  # message from the server: stop the current job
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PlanningJob:
-    """A move to plan, or an object to find a grasp for.
+    """A move or a regrasp to plan, or an object to find a grasp for.
 
     Args:
         id: id of the plan.
         hand_name: name of the hand.
-        record: the move or the `GraspRequest` as a plain record.
+        record: the move, the `RegraspRequest` or the `GraspRequest` as a plain record.
         codec: codec of all messages about the job.
         sequence: sequence number of the request, or None.
         budget: time for the job that the client allows, s.
         remaining: part of the budget that remains, s.
         hand_model: the hand, if this process has not received it before.
-        task: `PLAN` or `GRASP`.
+        task: one of `TASKS`.
     """
 
     id: str
@@ -84,6 +90,17 @@ def make_plan_reply(job: PlanningJob, result: Plan | PlanFailure, began: float |
     return _make_reply(job, write_answer(job.id, result), began)
 
 
+def make_regrasp_reply(job: PlanningJob, result: RegraspPlan | PlanFailure, began: float | None = None) -> Reply:
+    """Return the reply with a plan of a regrasp or a failure.
+
+    Args:
+        job: the job.
+        result: the plan, or the failure.
+        began: as in `make_plan_reply`.
+    """
+    return _make_reply(job, write_regrasp(job.id, result), began)
+
+
 def make_grasp_reply(job: PlanningJob, found: Sequence[RankedGrasp], began: float) -> Reply:
     """Return the reply with grasps.
 
@@ -113,8 +130,9 @@ def make_stopped_answer(job: PlanningJob, cancelled: bool, fault: str = "") -> W
         cancelled: True if a client stopped it, False if its budget ended.
         fault: what the best result lacks, if any is known.
     """
-    if job.task == PLAN:
-        return WorkerMessage(ANSWER, make_plan_reply(job, make_stopped_failure(job, cancelled)))
+    if job.task != GRASP:
+        make_reply = make_plan_reply if job.task == PLAN else make_regrasp_reply
+        return WorkerMessage(ANSWER, make_reply(job, make_stopped_failure(job, cancelled)))
     reason = "the search was cancelled" if cancelled else f"budget of {job.budget:.6g} s exceeded"
     text = f"{reason}: no grasp was found" + (f"; {fault}" if fault else "")
     return WorkerMessage(ANSWER, make_error_reply(job.codec, "deadline", text, None, job.sequence), "deadline")

@@ -21,19 +21,24 @@ from graspforce.grasp.search import GraspSearchProgress, RankedGrasp, find_grasp
 from graspforce.hand.hand import Hand
 from graspforce.planning import PlanFailure, Progress, move_from_dict
 from graspforce.planning.failure import STOPPED
+from graspforce.planning.progress import SEARCH
+from graspforce.planning.regrasp import RegraspProgress, plan_regrasp_to
 from graspforce.service.wire import protocol
 from graspforce.service.wire.grasp_records import GraspRequest
 from graspforce.service.wire.plan_records import write_progress
+from graspforce.service.wire.regrasp_records import RegraspRequest
 from graspforce.service.wire.reply import Reply, make_failure_reply
 from graspforce.service.workers.jobs import (
     ANSWER,
     BEST_SO_FAR,
     GRASP,
     PROGRESS,
+    REGRASP,
     PlanningJob,
     WorkerMessage,
     make_grasp_reply,
     make_plan_reply,
+    make_regrasp_reply,
     make_stopped_answer,
     make_stopped_failure,
 )
@@ -47,17 +52,19 @@ _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS
 def run_job(
     job: PlanningJob, hand: Hand, send: Callable[[WorkerMessage], None], cancelled: Callable[[], bool]
 ) -> WorkerMessage:
-    """Plan a move or find a grasp, and return the answer. Every exception becomes an error record.
+    """Plan a move or a regrasp, or find a grasp, and return the answer. Every exception becomes an error record.
 
     Args:
-        job: the move, or the request for a grasp.
+        job: the move, or the request for a regrasp or a grasp.
         hand: its hand.
         send: called with progress messages, and with each better plan.
         cancelled: called at each stage and iteration; return True to stop.
     """
     try:
         with np.errstate(all="ignore"):
-            return _find_grasp(job, hand, cancelled) if job.task == GRASP else _plan_move(job, hand, send, cancelled)
+            if job.task == GRASP:
+                return _find_grasp(job, hand, cancelled)
+            return (_plan_regrasp if job.task == REGRASP else _plan_move)(job, hand, send, cancelled)
     except Exception as error:
         outcome, reply = make_failure_reply(job.codec, error, job.key, job.sequence)
         return WorkerMessage(ANSWER, reply, outcome)
@@ -121,6 +128,32 @@ def _plan_move(
     if isinstance(result, PlanFailure) and result.kind == STOPPED:
         result = make_stopped_failure(job, cancelled())  # its message names the whole budget, not the remaining part
     return WorkerMessage(ANSWER, make_plan_reply(job, result, began))
+
+
+def _plan_regrasp(
+    job: PlanningJob, hand: Hand, send: Callable[[WorkerMessage], None], cancelled: Callable[[], bool]
+) -> WorkerMessage:
+    """Plan a regrasp and return the answer."""
+    began = time.perf_counter()
+    request = RegraspRequest.from_dict(hand, job.record)
+    if job.remaining <= 0.0:
+        return make_stopped_answer(job, cancelled=False)
+    last_sent, farthest, is_cancelled = -np.inf, 0.0, False
+
+    def callback(now: RegraspProgress) -> bool:
+        nonlocal last_sent, farthest, is_cancelled
+        farthest, seconds = max(farthest, now.u / now.length), time.perf_counter() - began
+        if seconds - last_sent >= _PROGRESS_PERIOD:
+            last_sent = seconds
+            record = write_progress(job.id, Progress(SEARCH, farthest, now.tried, None, seconds))
+            send(WorkerMessage(PROGRESS, Reply(True, protocol.encode(record, job.codec), job.codec)))
+        is_cancelled = cancelled()
+        return not is_cancelled
+
+    result = plan_regrasp_to(request.goal, replace(request.search, budget=job.remaining), callback)
+    if is_cancelled:
+        return make_stopped_answer(job, cancelled=True)
+    return WorkerMessage(ANSWER, make_regrasp_reply(job, result, began))
 
 
 class HandCache:

@@ -35,7 +35,8 @@ PRINTED = {  # what a reader must see where the numbers are known
 }
 DEFAULT_ADDRESS = "tcp/127.0.0.1:7450"
 MAPPINGS = (".counts", ".latencies", ".clients")  # records by key of a request, or by client
-VARIABLE = (".warnings", ".sentences", "_phases", ".message")  # arrays whose length depends on the run
+# arrays whose length depends on the run
+VARIABLE = (".warnings", ".sentences", "_phases", ".message", ".stages", ".states", ".postures")
 
 
 def blocks(page: Path, language: str) -> list[str]:

@@ -151,7 +151,7 @@ def test_server_answers_queries_for_schemas_with_those_of_the_code():
         assert answered == json.loads(json.dumps(wire_schema("solve/request")))
         titles = [json.loads(payload)["title"] for _, _, payload in get(session, "schema/**")]
         assert sorted(titles) == [f"graspforce/1: {name}" for name in SCHEMA_NAMES]
-        assert len(get(session, "schema/hands/*/request")) == 6
+        assert len(get(session, "schema/hands/*/request")) == 7
         for unknown in ("schema", "schema/solve", "schema/no/**"):
             [(ok, _, payload)] = get(session, unknown)
             assert not ok, unknown

@@ -21,7 +21,8 @@ from graspforce.grasp.collision.obstacle import Obstacle
 from graspforce.grasp.collision.settings import CollisionSettings
 from graspforce.hand.drives.joint_friction import JointFriction
 from graspforce.planning import move_from_dict
-from graspforce.service import ControlRequest, DistributeRequest, GraspRequest, StreamState
+from graspforce.planning.regrasp import RegraspSettings, goal_from_steps
+from graspforce.service import ControlRequest, DistributeRequest, GraspRequest, RegraspRequest, StreamState
 from graspforce.service.wire.kinematics_records import forward_record, inverse_record
 from graspforce.service.wire.phase_records import PhaseState
 from graspforce.service.wire.protocol import JSON, encode
@@ -111,6 +112,8 @@ def cases() -> list[Case]:
     bodies = [Body.solid(shape, 0.2).to_dict() for shape in shapes] + [{"mass": 0.1, "shape": _TETRAHEDRON}]
     collisions = CollisionSettings(0.002, [Obstacle(Sphere(0.01), [0.3, 0.0, 0.0])]).to_dict()
     moves = [move.to_dict() | {"collisions": collisions} for move in plan_requests.moves().values()]
+    turned = goal_from_steps(control_requests.GRASP, [0.0, 0.0, 0.0], [0.0, 0.0, 0.5], ControlSettings())
+    regrasp = RegraspRequest(turned, RegraspSettings(margin=0.1)).to_dict() | {"settings": settings}
     limits = {"acceleration_limits": {"linear": 5.0, "angular": 50.0, "joints": 400.0}}
     return [
         ("solve/request", problem, read_problem),
@@ -125,6 +128,7 @@ def cases() -> list[Case]:
         ),
         ("hands/control/request", control, read_control),
         *(("hands/plan/request", move | limits, read_move) for move in moves),
+        ("hands/regrasp/request", regrasp | {"collisions": collisions}, lambda record: RegraspRequest.from_dict(HAND, record)),
         *(("streams/request", record, read_stream) for record in (setup, cycle, joints, gains)),
         ("streams/state", state, read_state),
         ("streams/state", measured, read_state),

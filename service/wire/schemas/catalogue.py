@@ -34,6 +34,7 @@ _REQUESTS: dict[str, tuple[tuple[type, ...], tuple[type, ...]]] = {
     "hands/forward": ((request_types.ForwardRequest,), (reply_types.ForwardReply,)),
     "hands/inverse": ((request_types.InverseRequest,), (reply_types.InverseReply,)),
     "hands/grasp": ((request_types.GraspSearchRequest,), (reply_types.GraspReply,)),
+    "hands/regrasp": ((move_types.RegraspRequest,), (reply_types.RegraspReply,)),
     "hands/distribute": ((request_types.DistributeRequest,), (solution_types.SolutionReply,)),
     "hands/control": ((request_types.ControlRequest,), (CommandRecord,)),
     "hands/plan": (_MOVES, (reply_types.PlanReply,)),

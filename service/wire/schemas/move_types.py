@@ -7,9 +7,15 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from graspforce.service.wire.schemas.array_types import NotNegative, Numbers, Positive, Rows, Vector3
-from graspforce.service.wire.schemas.object_types import BodyRecord, GraspContactRecord, ObstacleRecord, PoseRecord
+from graspforce.service.wire.schemas.object_types import (
+    BodyRecord,
+    GraspContactRecord,
+    GraspRecord,
+    ObstacleRecord,
+    PoseRecord,
+)
 from graspforce.service.wire.schemas.request_types import EnvelopeRecord, Limit
-from graspforce.service.wire.schemas.settings_types import AccelerationLimitsType
+from graspforce.service.wire.schemas.settings_types import AccelerationLimitsType, ControlSettingsType
 
 
 class CollisionsRecord(Struct, forbid_unknown_fields=True, kw_only=True):
@@ -118,3 +124,50 @@ class FingersMoveRequest(_MoveRequest, tag_field="method", tag="fingers", forbid
     postures: Rows
     apart: NotNegative | None = None
     obstacles: list[ObstacleRecord] | None = None
+
+
+class RegraspSearchRecord(Struct, forbid_unknown_fields=True, kw_only=True):
+    """Settings of the search for a regrasp.
+
+    Args:
+        margin: least slip margin of all fingers, and of the others while one steps, N; by default 1.2 times that of the
+            controller.
+        spacing: least distance between two tips on the object, m.
+        advance: turn of the object that a finger should allow at its new place, rad.
+        candidates: number of places that are compared in each step of a finger.
+        branches: number of them that are tried, best first.
+        seed: seed of the random places.
+        object_rate: largest rate of the object, rad/s.
+        joint_rate: largest rate of joints of stepping fingers, rad/s.
+        torque_rate: largest rate of the torques that accelerate a stepping finger, N·m/s.
+    """
+
+    margin: Positive | None = None
+    spacing: NotNegative | None = 0.002
+    advance: Positive | None = 0.6
+    candidates: Annotated[int, Meta(ge=1, le=1000)] | None = 24
+    branches: Annotated[int, Meta(ge=1, le=100)] | None = 4
+    seed: Annotated[int, Meta(ge=0, le=2**32 - 1)] | None = 0
+    object_rate: Positive | None = 0.8
+    joint_rate: Positive | None = 2.0
+    torque_rate: Positive | None = 5.0
+
+
+class RegraspRequest(EnvelopeRecord, forbid_unknown_fields=True, kw_only=True):
+    """The request `hands/<hand>/regrasp`: a goal pose of a held object, which may be out of reach of one grasp.
+
+    Args:
+        hold: the grasp at the start, with all fingers that may be used; the object has a shape.
+        goal: pose of the object at the goal, in H.
+        id: id by which any client can follow and cancel the search.
+        settings: controller settings; slip margin, friction reserve, errors of friction and normals, and gravity count.
+        collisions: obstacles and the distance that bodies keep; false for no checks.
+        search: settings of the search.
+    """
+
+    hold: GraspRecord
+    goal: PoseRecord
+    id: str | None = None
+    settings: ControlSettingsType | None = None  # type: ignore[valid-type]
+    collisions: CollisionsRecord | bool | None = None
+    search: RegraspSearchRecord | None = None

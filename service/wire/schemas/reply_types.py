@@ -7,7 +7,7 @@ from typing import Any, Literal
 from msgspec import Struct
 
 from graspforce.service.wire.schemas.array_types import Index, Matrix3, NotNegative, Numbers, Rows, Vector3
-from graspforce.service.wire.schemas.object_types import GraspRecord
+from graspforce.service.wire.schemas.object_types import GraspRecord, PoseRecord
 from graspforce.service.wire.schemas.solution_types import InfeasibilityRecord, ReplyEnvelope
 
 
@@ -208,6 +208,92 @@ class PlanReply(ReplyEnvelope, kw_only=True):
 
     id: str
     plan: PlanRecord | None
+    refusal: FailureRecord | None
+
+
+class HeldStateRecord(Struct, kw_only=True):
+    """Fingers that hold an object at one place of its path.
+
+    Args:
+        u: path parameter: radians of turn, or displacement divided by 0.03 m, whichever is larger.
+        posture: joint positions, rad.
+        fingers: names of the fingers in contact.
+        positions: contact points of these fingers in O, m.
+        normals: inward normals there, in O.
+        tangents: first tangents t₁ there, in O.
+    """
+
+    u: NotNegative
+    posture: Numbers
+    fingers: list[str]
+    positions: list[Vector3]
+    normals: list[Vector3]
+    tangents: list[Vector3]
+
+
+class ObjectStageRecord(Struct, tag_field="kind", tag="object", kw_only=True):
+    """All fingers move the object along a part of its path.
+
+    Args:
+        duration: duration, s.
+        margin: least slip margin that forces can keep, N.
+        states: fingers and object at instants along the path.
+    """
+
+    duration: NotNegative
+    margin: float
+    states: list[HeldStateRecord]
+
+
+class FingerStageRecord(Struct, tag_field="kind", tag="finger", kw_only=True):
+    """One finger steps to another place of the object, which the others hold at rest.
+
+    Args:
+        duration: duration of the motion between lift and arrival, s.
+        margin: the smaller of the slip margins of the others, and of all fingers at the end, N.
+        finger: name of the finger.
+        postures: postures of the step, rad.
+        end: fingers and object at the end.
+    """
+
+    duration: NotNegative
+    margin: float
+    finger: str
+    postures: Rows
+    end: HeldStateRecord
+
+
+class RegraspPlanRecord(Struct, kw_only=True):
+    """Object moves and finger steps that bring an object to a pose.
+
+    Args:
+        schema: name and version of the record.
+        hand: name of the hand.
+        duration: duration of all motions, s, without the times in which forces rise and fall.
+        margin: least slip margin of all stages, N.
+        path: poses of the object in H, of which neighbours are joined by straight lines and turns about one axis.
+        stages: object moves and finger steps, in order.
+    """
+
+    schema: Literal["graspforce/regrasp/1"]
+    hand: str
+    duration: NotNegative
+    margin: float
+    path: list[PoseRecord]
+    stages: list[ObjectStageRecord | FingerStageRecord]
+
+
+class RegraspReply(ReplyEnvelope, kw_only=True):
+    """The reply to `hands/<hand>/regrasp`: exactly one of `plan` and `refusal` is null.
+
+    Args:
+        id: id of the search.
+        plan: the plan.
+        refusal: the reason why none was found.
+    """
+
+    id: str
+    plan: RegraspPlanRecord | None
     refusal: FailureRecord | None
 
 
