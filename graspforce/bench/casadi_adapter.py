@@ -1,4 +1,4 @@
-"""Adapter for the solvers behind CasADi's `conic`. The function is built before timing; only its call is timed.
+"""Adapter for the solvers behind CasADi's `conic` and `nlpsol`. The function is built before timing; only its call is timed.
 
 Some plugins keep a factorisation and a working set between calls. A cold run is therefore the first call of a new function. A
 warm run calls the function that solved the previous problem, if that has the same shape.
@@ -14,6 +14,7 @@ import casadi
 import numpy as np
 
 from graspforce.bench.adapter import BoundSolver, SolverResult, SolverStatus, lower_bounds, make_result
+from graspforce.bench.smooth_cones import cone_heads, cone_parts, interior_start
 from graspforce.force.cone_program import ConicProgram
 
 
@@ -47,5 +48,46 @@ def bind(program: ConicProgram, plugin: str, options: dict[str, Any], infeasible
             status = SolverStatus.INFEASIBLE
         duals = np.array(solution["lam_a"]).ravel()
         return make_result(program, status, solution["x"], -duals[:e], duals[e:], max(int(stats.get("iter_count", 0)), 0))
+
+    return BoundSolver(run, read)
+
+
+def bind_nonlinear(
+    program: ConicProgram, plugin: str, options: dict[str, Any], infeasible: tuple[str, ...] = ()
+) -> BoundSolver:
+    """Bind a problem to one of CasADi's solvers of nonlinear programs; cones are smooth inequalities.
+
+    Args:
+        program: program to solve.
+        plugin: name of the plugin in CasADi.
+        options: options of the plugin.
+        infeasible: return statuses of the plugin that mean infeasible.
+    """
+    x = casadi.MX.sym("x", len(program.q))
+    e, i = len(program.b), len(program.d)
+    rows = [casadi.mtimes(casadi.DM(part), x) for part in (program.A, program.C) if len(part)]
+    lower, upper = [program.b, lower_bounds(program)], [program.b, program.d]
+    if program.cones:
+        S, r = cone_heads(program)
+        values = [casadi.DM(right) - casadi.mtimes(casadi.DM(part), x) for part, right in cone_parts(program)]
+        rows += [casadi.DM(r) - casadi.mtimes(casadi.DM(S), x), *(v[0] ** 2 - casadi.sumsqr(v[1:]) for v in values)]
+        lower.append(np.zeros(2 * len(r)))
+        upper.append(np.full(2 * len(r), np.inf))
+    cost = 0.5 * casadi.bilin(casadi.DM(program.P), x, x) + casadi.dot(casadi.DM(program.q), x)
+    solver = casadi.nlpsol(
+        "solver", plugin, {"x": x, "f": cost, "g": casadi.vertcat(*rows)}, {**options, "error_on_fail": False}
+    )
+    data = {"x0": interior_start(program), "lbg": np.concatenate(lower), "ubg": np.concatenate(upper)}
+
+    def run(start: Any) -> Any:
+        return solver(**data), solver.stats()
+
+    def read(output: Any) -> SolverResult:
+        solution, stats = output
+        status = SolverStatus.SOLVED if stats["success"] else SolverStatus.NO_ANSWER
+        if stats["return_status"] in infeasible:
+            status = SolverStatus.INFEASIBLE
+        duals = np.array(solution["lam_g"]).ravel()
+        return make_result(program, status, solution["x"], -duals[:e], duals[e : e + i], int(stats.get("iter_count", 0)))
 
     return BoundSolver(run, read)

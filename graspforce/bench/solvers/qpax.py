@@ -1,0 +1,54 @@
+"""qpax: a primal-dual interior-point method for quadratic programs in JAX (Tracy and Manchester 2024), double precision.
+
+JAX compiles the solver once for each shape of the problem. Compilation is part of binding and not timed. Copies to and from
+JAX's arrays are not timed either.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import jax
+import numpy as np
+import qpax
+
+from graspforce.bench.adapter import TOLERANCE, BoundSolver, SolverResult, SolverStatus, make_result
+from graspforce.force.cone_program import ConicProgram
+
+PACKAGE = "qpax"
+EXACT_CONES = False
+WARM_START = False
+
+
+def bind(program: ConicProgram, settings: str) -> BoundSolver:
+    """Bind qpax, compiled for the shape of the problem.
+
+    Args:
+        program: program without second-order cones.
+        settings: accuracy settings, a key of `TOLERANCE`.
+    """
+    parts = (program.P, program.q, program.A, program.b, program.C, program.d)
+    with jax.enable_x64(True):
+        data = [jax.numpy.asarray(part, dtype=np.float64) for part in parts]
+    solver = _compiled(tuple(part.shape for part in parts), TOLERANCE[settings])
+
+    def run(start: Any) -> Any:
+        with jax.enable_x64(True):
+            return jax.block_until_ready(solver(*data))
+
+    def read(output: Any) -> SolverResult:
+        x, _, z, y, converged, iterations = output
+        status = SolverStatus.SOLVED if int(converged) == 1 else SolverStatus.NO_ANSWER
+        return make_result(program, status, x, -np.array(y), z, int(iterations))
+
+    return BoundSolver(run, read)
+
+
+@lru_cache(maxsize=64)
+def _compiled(shapes: tuple[tuple[int, ...], ...], tolerance: float | None) -> Any:
+    """Return the solver, compiled for arrays of some shapes."""
+    options = {} if tolerance is None else {"solver_tol": tolerance}
+    with jax.enable_x64(True):
+        arguments = [jax.ShapeDtypeStruct(shape, np.float64) for shape in shapes]
+        return jax.jit(lambda *data: qpax.solve_qp(*data, **options)).lower(*arguments).compile()
