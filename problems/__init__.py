@@ -17,6 +17,7 @@ from graspforce.problems.library import (
     describe,
     load,
     names,
+    smoke_names,
     text,
 )
 
@@ -32,5 +33,6 @@ __all__ = [
     "describe",
     "load",
     "names",
+    "smoke_names",
     "text",
 ]

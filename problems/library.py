@@ -89,6 +89,11 @@ def names(collection: str | None = None) -> tuple[str, ...]:
     return found
 
 
+def smoke_names() -> tuple[str, ...]:
+    """Return the names of the smoke set: 160 small cases of every collection, for a race of some minutes."""
+    return tuple((resources.files("graspforce.problems") / "smoke.txt").read_text(encoding="utf-8").split())
+
+
 def text(name: str) -> str:
     """Return a case as indented JSON.
 

@@ -52,6 +52,7 @@ class RaceOutcome:
         cold: time of a cold run just before the warm run, s; None for cold tasks and without a previous solution.
         iterations: number of iterations that the solver reports, in its first run.
         verdict_varies: whether runs of the task got different verdicts.
+        time_is_reported: whether the author of the solver reports the time, which was then not measured here.
     """
 
     task: RaceTask
@@ -62,13 +63,14 @@ class RaceOutcome:
     cold: float | None
     iterations: int
     verdict_varies: bool = False
+    time_is_reported: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         """Return the record of one line of the outcome file."""
         record = {**asdict(self.task), "contacts": self.contacts, "feasible": self.feasible}
         record |= {"verdict": self.judgement.verdict.value, "residual": self.judgement.residual}
         record |= {"seconds": self.seconds, "cold": self.cold, "iterations": self.iterations, "varies": self.verdict_varies}
-        return record
+        return {**record, "reported": True} if self.time_is_reported else record
 
     @classmethod
     def from_dict(cls, record: dict[str, Any]) -> RaceOutcome:
@@ -80,7 +82,7 @@ class RaceOutcome:
         task = RaceTask(*(record[name] for name in RaceTask.__slots__))
         judgement = Judgement(Verdict(_OLDER_VERDICTS.get(record["verdict"], record["verdict"])), record["residual"])
         own = (record[name] for name in ("seconds", "cold", "iterations", "varies"))
-        return cls(task, record["contacts"], record["feasible"], judgement, *own)
+        return cls(task, record["contacts"], record["feasible"], judgement, *own, record.get("reported", False))
 
 
 def write_header(path: Path, conditions: dict[str, Any]) -> None:

@@ -37,6 +37,7 @@ class RacePlan:
         collections: collections of the library; "textbook" stands for its four collections.
         max_cases: maximum number of cases per collection, evenly spaced, sequences kept whole; 0 for all.
         limit: processor time of one solve, s.
+        cases: names of the cases instead of those of the collections; empty for the collections.
     """
 
     solvers: tuple[str, ...]
@@ -45,6 +46,7 @@ class RacePlan:
     collections: tuple[str, ...] = ()
     max_cases: int = 40
     limit: float = 2.0
+    cases: tuple[str, ...] = ()
 
 
 def make_race_plan(
@@ -54,6 +56,7 @@ def make_race_plan(
     collections: Sequence[str] = (),
     max_cases: int = 40,
     limit: float = 2.0,
+    cases: Sequence[str] = (),
 ) -> RacePlan:
     """Return a race plan after checking all names.
 
@@ -64,15 +67,18 @@ def make_race_plan(
         collections: collections of the library; all by default.
         max_cases: maximum number of cases per collection; 0 for all.
         limit: processor time of one solve, s, > 0.
+        cases: names of cases, instead of collections and max_cases.
 
     Raises:
-        UnknownName: a solver or a collection is unknown.
+        UnknownName: a solver, a collection or a case is unknown.
         InvalidInput: settings, units, max_cases or limit are not allowed.
     """
     for name in solvers:
         load_adapter(name)
     for name in collections:
         problems.names(name)
+    for name in cases:
+        problems.text(name)
     for name, allowed, field in [*((s, tuple(TOLERANCE), "settings") for s in settings), *((u, UNITS, "units") for u in units)]:
         if name not in allowed:
             raise InvalidInput(field, name, "one of " + ", ".join(allowed))
@@ -83,7 +89,7 @@ def make_race_plan(
     chosen_solvers = tuple(solvers) or installed_solvers()
     chosen_collections = tuple(collections) or problems.collections()
     chosen_settings, chosen_units = tuple(settings) or ("default",), tuple(units) or ("scaled",)
-    return RacePlan(chosen_solvers, chosen_settings, chosen_units, chosen_collections, max_cases, limit)
+    return RacePlan(chosen_solvers, chosen_settings, chosen_units, chosen_collections, max_cases, limit, tuple(cases))
 
 
 def select_cases(collections: Sequence[str], max_cases: int) -> tuple[str, ...]:
@@ -113,7 +119,8 @@ def race_tasks(race: RacePlan) -> Iterator[RaceTask]:
     Args:
         race: the plan.
     """
-    cases = [(name, problems.load(name).problem) for name in select_cases(race.collections, race.max_cases)]
+    names = race.cases or select_cases(race.collections, race.max_cases)
+    cases = [(name, problems.load(name).problem) for name in names]
     facts = [(name, len(problem.contacts), problem.cone.type == "pyramid") for name, problem in cases]  # name, size, is pyramid
     for solver in race.solvers:
         module = load_adapter(solver)

@@ -172,7 +172,18 @@ def _times(group: OutcomeGroup, table: Sequence[SolverSummary]) -> Iterator[str]
     yield ""
     best = min(row.mean for row in table)
     ordered = sorted(table, key=lambda row: row.mean)
-    lines = [[row.solver, f"{1e3 * row.mean:.3g}", f"{row.mean / best:.1f}", f"{1e6 * row.median:.0f}"] for row in ordered]
+    reported = {outcome.task.solver for outcome in group.outcomes if outcome.time_is_reported}
+    lines = [
+        [
+            row.solver + " (reported)" * (row.solver in reported),
+            f"{1e3 * row.mean:.3g}",
+            f"{row.mean / best:.1f}",
+            f"{1e6 * row.median:.0f}",
+        ]
+        for row in ordered
+    ]
+    if reported:
+        yield from _prose("*Reported*: times of the solver's author on another machine, not measured here.")
     yield from _table(["solver", "shifted mean, ms", "× best", "median of correct, µs"], lines)
 
 

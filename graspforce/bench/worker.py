@@ -215,7 +215,7 @@ def _warm_start(task: RaceTask, limit: float, answers: dict[RaceTask, Any]) -> A
     cold = dataclasses.replace(task, warm=False, case=earlier)
     if cold not in answers:
         raw, solved = None, False
-        problem, feasible, optimum = _load_case(earlier, task.pyramid)
+        problem, feasible, optimum = load_proven_case(earlier, task.pyramid)
         with contextlib.suppress(Exception):  # solvers raise exceptions of any type; the run then starts cold
             bound_solver = _bind_solver(cold, problem)
             raw, _ = _time_run(bound_solver, None, limit)
@@ -234,7 +234,7 @@ def _judge_runs(
     task: RaceTask, bound_solver: BoundSolver, run_result: tuple[Any, float] | Verdict, limit: float
 ) -> RaceOutcome:
     """Return the outcome of a run. A cold task is run several times, and its worst judgement counts."""
-    problem, feasible, optimum = _load_case(task.case, task.pyramid)
+    problem, feasible, optimum = load_proven_case(task.case, task.pyramid)
     facts = (len(problem.contacts), feasible)
     if isinstance(run_result, Verdict):
         return _outcome_without_answer(task, facts, run_result)
@@ -282,12 +282,17 @@ def load_case_problem(name: str, pyramid: bool) -> tuple[ForceProblem, bool]:
         name: name of the case.
         pyramid: whether exact cones are replaced by inner pyramids of `FACETS` facets.
     """
-    return _load_case(name, pyramid)[:2]
+    return load_proven_case(name, pyramid)[:2]
 
 
 @lru_cache(maxsize=8)
-def _load_case(name: str, pyramid: bool) -> tuple[ForceProblem, bool, ExpectedOptimum | None]:
-    """Return the problem of a case, whether it is feasible, and its proven optimum if it is."""
+def load_proven_case(name: str, pyramid: bool) -> tuple[ForceProblem, bool, ExpectedOptimum | None]:
+    """Return the problem of a case, whether it is feasible, and its proven optimum if it is.
+
+    Args:
+        name: name of the case.
+        pyramid: whether exact cones are replaced by inner pyramids of `FACETS` facets.
+    """
     case = problems.load(name)
     if not pyramid or case.problem.cone.type == "pyramid":
         feasible = isinstance(case.expected, ExpectedOptimum)

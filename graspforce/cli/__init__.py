@@ -17,6 +17,7 @@ import graspforce
 from graspforce.cli.commands import (
     analyse,
     ask,
+    bench,
     cycle,
     glove,
     grasp,
@@ -45,7 +46,24 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for commands in (solve, analyse, problems, hands, grasp, glove, serve, top, ask, secure, plan, simulate, cycle, regrasp, view):
+for commands in (
+    solve,
+    analyse,
+    problems,
+    bench,
+    hands,
+    grasp,
+    glove,
+    serve,
+    top,
+    ask,
+    secure,
+    plan,
+    simulate,
+    cycle,
+    regrasp,
+    view,
+):
     app.add_typer(commands.app)
 
 

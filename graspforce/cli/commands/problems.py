@@ -1,15 +1,14 @@
-"""``graspforce problems`` and ``graspforce bench``: the problem library, and the benchmark of solvers on it."""
+"""``graspforce problems``: the problem library."""
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from graspforce.cli.commands.output_arguments import AsJson
-from graspforce.cli.completions import complete_case, complete_collection
+from graspforce.cli.completions import complete_case
 from graspforce.cli.console import print_report, progress_console
 from graspforce.cli.json_output import print_json
 
@@ -26,8 +25,12 @@ OwnProblems = Annotated[
 ]
 
 
-def _choose(folder: Path | None) -> None:
-    """Use the problems of a folder, if one is given."""
+def choose_problems(folder: Path | None) -> None:
+    """Use the problems of a folder, if one is given.
+
+    Args:
+        folder: folder of collections, or None.
+    """
     if folder is not None:
         from graspforce import problems
 
@@ -37,7 +40,7 @@ def _choose(folder: Path | None) -> None:
 @problems_app.callback()
 def _problems(context: typer.Context, folder: OwnProblems = None, as_json: AsJson = False) -> None:
     """List the collections of force problems. Subcommands list, show, verify and export cases."""
-    _choose(folder)
+    choose_problems(folder)
     if context.invoked_subcommand is None:
         from graspforce import problems
         from graspforce.cli.tables import collection_list
@@ -141,71 +144,3 @@ def export_problems(
         found = {"cases": len(manifest["cases"]), "version": manifest["version"], "bytes": size}
         return print_json({"folder": str(folder), **found, "files": manifest["files"]})
     return print(f"{folder}: {len(manifest['cases'])} cases, version {manifest['version']}, {size / 1e6:.1f} MB")
-
-
-@app.command(epilog="Example: graspforce bench --collection textbook --solver clarabel --solver proxqp")
-def bench(
-    collection: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME", help="A collection of `graspforce problems`; repeatable.", autocompletion=complete_collection
-        ),
-    ] = None,
-    solver: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="A solver, or a module with an adapter; repeatable.")
-    ] = None,
-    settings: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="Accuracy: default, high or low; repeatable.")
-    ] = None,
-    units: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Units: scaled (default) or si; repeatable.")] = None,
-    folder: OwnProblems = None,
-    max_cases: Annotated[
-        int, typer.Option(metavar="N", help="Maximum number of cases per collection, evenly spaced; 0 for all.")
-    ] = 40,
-    limit: Annotated[
-        float, typer.Option("--time-limit", metavar="S", help="Processor time after which a solver is stopped, s.")
-    ] = 2.0,
-    save: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Save outcomes here; cases that the file already holds are skipped.")
-    ] = None,
-    compare: Annotated[
-        Path | None, typer.Option("--compare-with", metavar="FILE", help="Outcomes of an earlier run; show what differs.")
-    ] = None,
-    report: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Folder for report.md and its figures.")] = None,
-    as_json: AsJson = False,
-) -> None:
-    """Compare solvers on force problems with proven answers. Every answer is judged by its certificate."""
-    from graspforce.bench import race
-    from graspforce.bench.outcome import load
-    from graspforce.cli.tables import difference_table, race_tables
-
-    _choose(folder)
-    race_plan = race.make_race_plan(solver or (), settings or (), units or (), collection or (), max_cases, limit)
-    before = None if compare is None else load(compare)[1]
-    facts, outcomes = _race(race_plan, save)
-    if as_json:
-        print_json({"facts": facts, "outcomes": [outcome.to_dict() for outcome in outcomes]})
-    else:
-        for table in race_tables(outcomes, limit):
-            print_report(table)
-        if before is not None:
-            print_report(difference_table(before, outcomes))
-    if report is not None:
-        from graspforce.bench.report import write
-
-        options = [("collection", collection), ("solver", solver), ("settings", settings), ("units", units)]
-        given = [f"--{name} {value}" for name, values in options for value in values or ()]
-        command = " ".join(["graspforce bench", *given, f"--max-cases {max_cases} --time-limit {limit:g} --report {report}"])
-        print(f"Report: {write(report, facts, outcomes, command)}", file=sys.stderr if as_json else sys.stdout)
-
-
-def _race(race_plan: Any, save: Path | None) -> Any:
-    """Run the race with a progress bar."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    from graspforce.bench import race
-
-    columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.description}"))
-    with Progress(*columns, console=progress_console(), transient=True) as bar:
-        shown = bar.add_task("", total=None)
-        return race.run(race_plan, save, lambda what, done, of: bar.update(shown, description=what, completed=done, total=of))
