@@ -58,6 +58,7 @@ def bench(
         Path | None, typer.Option("--compare-with", metavar="FILE", help="Outcomes of an earlier run; show what differs.")
     ] = None,
     report: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Folder for report.md and its figures.")] = None,
+    site: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Folder for a static page, index.html.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Compare solvers on force problems with proven answers. Every answer is judged by its certificate."""
@@ -81,11 +82,15 @@ def bench(
     chosen = ["--smoke"] if smoke else [] if case else [f"--max-cases {max_cases}"]
     named = {"collection": collection, "case": case, "solver": solver, "answers": answers, "settings": settings, "units": units}
     command = " ".join(["graspforce bench", *_options(named), *chosen, f"--time-limit {limit:g}"])
+    stream = sys.stderr if as_json else sys.stdout
     if report is not None:
         from graspforce.bench.report import write
 
-        page = write(report, facts, outcomes, f"{command} --report {report}")
-        print(f"Report: {page}", file=sys.stderr if as_json else sys.stdout)
+        print(f"Report: {write(report, facts, outcomes, f'{command} --report {report}')}", file=stream)
+    if site is not None:
+        from graspforce.bench.site import write_site
+
+        print(f"Page: {write_site(site, facts, outcomes, command)}", file=stream)
 
 
 def _options(named: Mapping[str, Sequence[object] | None]) -> list[str]:

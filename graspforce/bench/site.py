@@ -1,0 +1,137 @@
+"""A static page of a race: one file that needs no server. Tables, profiles, cases and solvers are drawn by its script.
+
+`history.json` beside the page keeps the results of earlier versions; a later page with the same folder shows them.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from graspforce import problems
+from graspforce.bench.export.tags import case_tags
+from graspforce.bench.judge import CORRECT_VERDICTS, Verdict
+from graspforce.bench.outcome import RaceOutcome
+from graspforce.bench.report import condition_sentences
+from graspforce.bench.statistics import group_outcomes, summarize_solvers
+from graspforce.core.whole_file import write_text
+from graspforce.problems.case import Case, ExpectedOptimum
+
+MAX_DRAWN_CONTACTS = 40  # contacts in the picture of a case
+_DIGITS = 4  # significant digits of positions, normals, residuals and times
+_SCRIPTS = ("statistics.js", "charts.js", "views.js")
+
+
+def write_site(folder: Path, conditions: Mapping[str, Any], outcomes: Sequence[RaceOutcome], command: str) -> Path:
+    """Write ``index.html`` and ``history.json`` into a folder, and return the page's path.
+
+    Args:
+        folder: the folder; created if missing.
+        conditions: machine, versions and limits of the race.
+        outcomes: all outcomes.
+        command: the command that reproduces the race.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    history = _updated_history(folder / "history.json", conditions, outcomes)
+    data = {**page_data(conditions, outcomes), "command": command, "history": history}
+    parts = {
+        "css": _part("page.css"),
+        "script": "\n".join(_part(name) for name in _SCRIPTS),
+        "data": json.dumps(data, ensure_ascii=False, separators=(",", ":")).replace("</", "<\\/"),
+    }
+    text = _part("page.html")
+    for name, value in parts.items():
+        text = text.replace("{" + name + "}", value)
+    page = folder / "index.html"
+    write_text(page, text)
+    return page
+
+
+def page_data(conditions: Mapping[str, Any], outcomes: Sequence[RaceOutcome]) -> dict[str, Any]:
+    """Return the data of the page: solvers, cases, and one row of numbers for each run.
+
+    Args:
+        conditions: machine, versions and limits of the race.
+        outcomes: all outcomes.
+    """
+    solvers = tuple(dict.fromkeys(outcome.task.solver for outcome in outcomes))
+    names = tuple(sorted({outcome.task.case for outcome in outcomes}))
+    feasible: dict[tuple[str, bool], bool] = {(one.task.case, one.task.pyramid): one.feasible for one in outcomes}
+    solver_indices, case_indices = ({key: i for i, key in enumerate(keys)} for keys in (solvers, names))
+    verdicts = tuple(Verdict)
+    return {
+        "limit": conditions["limit"],
+        "facts": " ".join(condition_sentences(conditions, outcomes)),
+        "verdicts": [verdict.value for verdict in verdicts],
+        "solvers": [{"name": name, "version": conditions["versions"].get(name, "")} for name in solvers],
+        "cases": [_case_record(name, feasible) for name in names],
+        "runs": [_run_row(one, solver_indices[one.task.solver], case_indices[one.task.case], verdicts) for one in outcomes],
+    }
+
+
+def _run_row(outcome: RaceOutcome, solver: int, case: int, verdicts: Sequence[Verdict]) -> list[Any]:
+    """Return the numbers of a run, in the order of FIELDS in statistics.js."""
+    task, judgement = outcome.task, outcome.judgement
+    flags = [int(task.pyramid), int(task.warm)]
+    numbers = [_rounded(judgement.residual), _rounded(outcome.seconds), outcome.iterations]
+    return [solver, task.settings, task.units, *flags, case, verdicts.index(judgement.verdict), *numbers]
+
+
+def _case_record(name: str, feasible: Mapping[tuple[str, bool], bool]) -> dict[str, Any]:
+    """Return the facts of a case that the page shows; ``feasible`` by exact cones and pyramids."""
+    case: Case = problems.load(name)
+    problem, known = case.problem, case.expected
+    is_feasible = isinstance(known, ExpectedOptimum)
+    drawn = problem.contacts.contacts[:MAX_DRAWN_CONTACTS]
+    return {
+        "name": name,
+        "source": case.source,
+        "contacts": len(problem.contacts),
+        "objective": problem.objective.type,
+        "feasible": [feasible.get((name, pyramid), is_feasible) for pyramid in (False, True)],
+        "optimum": _rounded(known.objective) if isinstance(known, ExpectedOptimum) else None,
+        "tags": list(case_tags(case)),
+        "positions": [[_rounded(float(value)) for value in one.position] for one in drawn],
+        "normals": [[_rounded(float(value)) for value in one.normal] for one in drawn],
+        "frictions": [_rounded(float(value)) for value in problem.contacts.mu[: len(drawn)]],
+    }
+
+
+def _updated_history(path: Path, conditions: Mapping[str, Any], outcomes: Sequence[RaceOutcome]) -> list[dict[str, Any]]:
+    """Return the history with the results of this race, and save it. Equal versions replace their earlier results."""
+    known = json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
+    versions = conditions["versions"]
+    data = conditions.get("problems", {}).get("version", "")
+    added = []
+    for group in group_outcomes(outcomes):
+        title = ", ".join(["pyramids" if group.pyramid else "exact cones", group.settings, group.units])
+        for row in summarize_solvers(group, float(conditions["limit"])):
+            added.append(
+                {
+                    "solver": row.solver,
+                    "version": versions.get(row.solver, ""),
+                    "graspforce": versions.get("graspforce", ""),
+                    "data": data,
+                    "group": title,
+                    "cases": row.attempted,
+                    "correct": sum(row.counts[verdict] for verdict in CORRECT_VERDICTS),
+                    "wrong": row.counts[Verdict.WRONG],
+                    "mean": None if math.isnan(row.mean) else _rounded(row.mean),
+                }
+            )
+    keys = ("solver", "version", "graspforce", "data", "group")
+    history = {tuple(entry[key] for key in keys): entry for entry in [*known, *added]}
+    write_text(path, json.dumps(list(history.values()), indent=1) + "\n")
+    return list(history.values())
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else float(f"{value:.{_DIGITS}g}")
+
+
+def _part(name: str) -> str:
+    return (resources.files("graspforce.bench") / "page" / name).read_text(encoding="utf-8").strip()

@@ -1,0 +1,170 @@
+"""Tests of the static page of a race: size, data, history, and the page in a headless browser in both themes."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from support.headless_browser import CHROMIUM, HeadlessBrowser
+
+from graspforce.bench.judge import Judgement, Verdict
+from graspforce.bench.outcome import RaceOutcome, RaceTask
+from graspforce.bench.site import write_site
+from graspforce.bench.statistics import group_outcomes, performance_profile, summarize_solvers
+
+CONDITIONS = {
+    "machine": "a processor",
+    "cores": 2,
+    "python": "3.12",
+    "limit": 0.5,
+    "versions": {"graspforce": "0.3.0", "alpha": "1.2", "beta": ""},
+    "problems": {"version": "1.0.1", "sha256": "ab" * 32},
+}
+CASES = ("opposed/force", "ring/3-force", "ring/3-torque", "opposed/capped")
+# verdict and time in µs of each solver on each case; the last one is infeasible
+RESULTS = {
+    "alpha": ((Verdict.CERTIFIED, 10), (Verdict.CERTIFIED, 40), (Verdict.UNSUPPORTED, None), (Verdict.CERTIFIED, 9)),
+    "beta": ((Verdict.CORRECT, 20), (Verdict.WRONG, None), (Verdict.CERTIFIED, 30), (Verdict.UNPROVEN, None)),
+}
+
+
+def outcomes() -> list[RaceOutcome]:
+    """Return the outcomes of `RESULTS`."""
+    made = []
+    for solver, results in RESULTS.items():
+        for case, (verdict, time) in zip(CASES, results, strict=True):
+            task = RaceTask(solver, "default", "scaled", False, False, case)
+            residual = 0.25 if verdict is Verdict.WRONG else 1e-9
+            seconds = None if time is None else 1e-6 * time
+            feasible = case != "opposed/capped"
+            made.append(RaceOutcome(task, 3, feasible, Judgement(verdict, residual), seconds, None, 5))
+    return made
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_site(tmp_path_factory.mktemp("site"), CONDITIONS, outcomes(), "graspforce bench --smoke")
+
+
+def test_page_is_one_small_file_that_loads_nothing(page: Path) -> None:
+    text = page.read_text()
+    assert len(text) < 100_000
+    assert not re.search(r"(src|href)=\"(https?:)?//|import\(|fetch\(|@import|url\(", text)
+    assert not re.search(r"\{(css|data|script)\}", text)
+
+
+def test_history_keeps_earlier_versions_and_replaces_equal_ones(tmp_path: Path) -> None:
+    write_site(tmp_path, CONDITIONS, outcomes(), "c")
+    write_site(tmp_path, CONDITIONS, outcomes(), "c")
+    later = {**CONDITIONS, "versions": {**CONDITIONS["versions"], "alpha": "1.3"}}
+    write_site(tmp_path, later, outcomes()[:4], "c")
+    history = json.loads((tmp_path / "history.json").read_text())
+    assert [(one["solver"], one["version"], one["correct"], one["wrong"]) for one in history] == [
+        ("alpha", "1.2", 3, 0),
+        ("beta", "", 3, 1),
+        ("alpha", "1.3", 3, 0),
+    ]
+
+
+@pytest.fixture(scope="module")
+def browser(page: Path) -> Iterator[HeadlessBrowser]:
+    if CHROMIUM is None:
+        pytest.skip("needs Chromium")
+    pytest.importorskip("websockets")
+    opened = HeadlessBrowser(f"file://{page}", 1200, 900)
+    try:
+        opened.wait(lambda: opened.evaluate("!!document.querySelector('#solvers')"))
+        yield opened
+    finally:
+        opened.close()
+
+
+def open_view(browser: HeadlessBrowser, address: str, heading: str) -> None:
+    """Open a view of the page, and wait until its heading is shown."""
+    browser.evaluate(f"location.hash = {json.dumps('#/' + address)}")
+    browser.wait(lambda: browser.evaluate("document.querySelector('main h2')?.innerText") == heading)
+
+
+def test_statistics_of_the_script_are_those_of_the_report(browser: HeadlessBrowser) -> None:
+    open_view(browser, "", "Results")
+    (group,) = group_outcomes(outcomes())
+    rows = {row["solver"]: row for row in browser.evaluate("summary(select(state.filter))")}
+    for known in summarize_solvers(group, CONDITIONS["limit"]):
+        assert rows[known.solver]["mean"] == pytest.approx(known.mean, rel=1e-9)
+        assert rows[known.solver]["median"] == pytest.approx(known.median, rel=1e-9)
+        assert rows[known.solver]["wrong"] == known.counts[Verdict.WRONG]
+    for common, count in ((False, 3), (True, 2)):
+        found = browser.evaluate(f"(p => [[...p.curves], p.count])(profile(select(state.filter), {str(common).lower()}))")
+        assert found[1] == count
+        for solver, ratios in found[0]:
+            known = [ratio for ratio in performance_profile(group, common)[solver] if ratio < float("inf")]
+            assert ratios == pytest.approx(known)
+    assert "all 3 feasible cases; unsupported counts as not solved" in browser.text()
+    assert "the 2 feasible cases that all support" in browser.text()
+
+
+def test_tables_sort_and_filter_by_keyboard(browser: HeadlessBrowser) -> None:
+    open_view(browser, "", "Results")
+    first = "document.querySelector('#solvers tbody td').innerText"
+    assert browser.evaluate(first) == "alpha"
+    browser.evaluate("document.querySelector('#solvers th button').focus()")
+    for kind in ("keyDown", "keyUp"):
+        browser.call("Input.dispatchKeyEvent", type=kind, key="Enter", code="Enter", windowsVirtualKeyCode=13, text="\r")
+    browser.wait(lambda: browser.evaluate(first) == "beta")
+    assert browser.evaluate("document.querySelector('#solvers th').ariaSort") == "descending"
+    assert browser.evaluate("document.activeElement.dataset.column") == "0"  # the focus stays on the button
+    browser.evaluate("const s = document.querySelector('select[name=collection]'); s.value = 'opposed'")
+    browser.evaluate("document.querySelector('select[name=collection]').dispatchEvent(new Event('change', {bubbles: true}))")
+    browser.wait(lambda: browser.evaluate("document.querySelector('#solvers tbody td:nth-child(2)').innerText") == "2")
+
+
+def test_pages_of_cases_and_solvers_say_how_to_reproduce(browser: HeadlessBrowser) -> None:
+    open_view(browser, "case/ring/3-force", "ring/3-force")
+    assert "graspforce problems show ring/3-force | graspforce solve -" in browser.text()
+    assert browser.evaluate("document.querySelectorAll('main svg circle').length") == 3
+    open_view(browser, "solver/beta", "beta")
+    assert "Wrong answers: 1" in browser.text()
+    text = browser.evaluate("document.querySelector('main pre').innerText")
+    assert 'RaceTask("beta", "default", "scaled", False, False, "ring/3-force")' in text
+    compile(text, "wrong.py", "exec")
+    open_view(browser, "history", "History by version")
+    assert "1.0.1" in browser.text()
+
+
+CONTRASTS = """
+(() => {
+  const linear = (v) => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
+  const light = (text) => {
+    const [r, g, b] = text.match(/[\\d.]+/g).slice(0, 3).map((v) => linear(v / 255));
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+  };
+  const back = (element) => {
+    for (let e = element; e; e = e.parentElement) {
+      const colour = getComputedStyle(e).backgroundColor;
+      if (colour !== "rgba(0, 0, 0, 0)") return colour;
+    }
+  };
+  const kinds = "h1, h2, h3, p, td, th, a, button, label, select, footer, pre, .bad";
+  return Math.min(...[...document.querySelectorAll(kinds)].map((e) => {
+    const [a, b] = [light(getComputedStyle(e).color), light(back(e) || "rgb(255,255,255)")];
+    return (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+  }));
+})()
+"""
+
+
+def test_contrast_of_text_is_sufficient_in_both_themes(browser: HeadlessBrowser) -> None:
+    """WCAG 2 asks for a ratio of 4.5 for text of normal size."""
+    themes = set()
+    for address, heading in (("", "Results"), ("solver/beta", "beta"), ("case/ring/3-force", "ring/3-force")):
+        open_view(browser, address, heading)
+        for _ in range(2):
+            browser.evaluate("document.getElementById('theme').click()")
+            themes.add(browser.evaluate("document.documentElement.dataset.theme"))
+            assert browser.evaluate(CONTRASTS) >= 4.5
+    assert themes == {"light", "dark"}
+    labelled = browser.evaluate("[...document.querySelectorAll('svg')].every((one) => one.getAttribute('aria-label'))")
+    assert labelled
