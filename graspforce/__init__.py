@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from graspforce.analysis.explain import Explanation, explain
     from graspforce.analysis.quality import Quality, quality
     from graspforce.analysis.sensitivity import Sensitivities, sensitivities
+    from graspforce.analysis.solve_many import solve_many
     from graspforce.contact.contact import Contact, ContactModel, ContactSet
     from graspforce.control.object_controller import ObjectController
     from graspforce.core.c_sources import get_cmake_dir, get_include
@@ -83,6 +84,7 @@ __all__ = [
     "simulation",
     "solve",
     "solve_batch",
+    "solve_many",
     "solve_stack",
     "view",
 ]
@@ -95,6 +97,7 @@ _object = lazy_exports(
         **dict.fromkeys(("Explanation", "explain"), "graspforce.analysis.explain"),
         **dict.fromkeys(("Quality", "quality"), "graspforce.analysis.quality"),
         **dict.fromkeys(("Sensitivities", "sensitivities"), "graspforce.analysis.sensitivity"),
+        "solve_many": "graspforce.analysis.solve_many",
         **dict.fromkeys(("Contact", "ContactModel", "ContactSet"), "graspforce.contact.contact"),
         "ObjectController": "graspforce.control.object_controller",
         **dict.fromkeys(("get_cmake_dir", "get_include"), "graspforce.core.c_sources"),

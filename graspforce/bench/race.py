@@ -13,6 +13,7 @@ from typing import Any
 import graspforce
 from graspforce import problems
 from graspforce.bench.adapter import TOLERANCE
+from graspforce.bench.cluster import run_tasks_on_cluster
 from graspforce.bench.conditions import clock_state, processor
 from graspforce.bench.outcome import RaceOutcome, RaceTask, append, append_clock, drop_partial_line, load, write_header
 from graspforce.bench.registry import installed_solvers, load_adapter, version
@@ -138,50 +139,65 @@ def race_tasks(race: RacePlan) -> Iterator[RaceTask]:
 
 
 def run(
-    race: RacePlan, save: Path | None = None, progress: Callable[[str, int, int], None] = lambda *_: None
+    race: RacePlan,
+    save: Path | None = None,
+    progress: Callable[[str, int, int], None] = lambda *_: None,
+    cluster: Any = None,
 ) -> tuple[dict[str, Any], list[RaceOutcome]]:
     """Run a race, and return its conditions and all outcomes.
 
     Args:
         race: the plan.
         save: file to which each outcome is appended; tasks whose outcomes it already holds are skipped.
-        progress: callback with the current task, the number of completed tasks and the number of all tasks.
+        progress: callback with the last completed task, the number of completed tasks and the number of all tasks.
+        cluster: address of a Dask scheduler, or a cluster of Dask; by default this machine runs all tasks.
 
     Raises:
         InvalidInput: the file was written under different conditions.
+        BackendError: the cluster cannot be reached, or its workers cannot start processes.
     """
     facts = race_conditions(race)
     known: dict[RaceTask, RaceOutcome] = {}
     earlier_clocks: list[Any] = []
     if save is not None and save.exists():
-        before, outcomes = load(save)
-        different = [name for name in facts if before.get(name) != facts[name] and name != "versions"]
-        different += [name for name, own in facts["versions"].items() if before["versions"].get(name, own) != own]
-        if different:
-            allowed = f"a new file, or one with the same conditions; this one was made with another {different[0]}"
-            raise InvalidInput("save", str(save), allowed)
-        drop_partial_line(save)
-        earlier_clocks = before.get("clocks", [])
-        known = {outcome.task: outcome for outcome in outcomes}
+        known, earlier_clocks = _earlier_outcomes(save, facts)
     elif save is not None:
         write_header(save, facts)
     tasks = list(race_tasks(race))
-    done, before_race = 0, clock_state()
-    results = []
-    for solver, own in groupby(tasks, key=lambda task: task.solver):
-        with Worker(race.limit) as worker:
-            for task in own:
-                progress(f"{solver} {task.settings} {task.units} {task.case}", done, len(tasks))
-                outcome = known.get(task) or worker.run(task)
-                if task not in known and save is not None:
-                    append(save, outcome)
-                results.append(outcome)
-                done += 1
+    missing = [task for task in tasks if task not in known]
+    done, before_race = len(tasks) - len(missing), clock_state()
+    progress("", done, len(tasks))
+    running = _run_here(missing, race.limit) if cluster is None else run_tasks_on_cluster(missing, race.limit, cluster)
+    for outcome in running:
+        task = outcome.task
+        known[task] = outcome
+        if save is not None:
+            append(save, outcome)
+        done += 1
+        progress(f"{task.solver} {task.settings} {task.units} {task.case}", done, len(tasks))
     clock = {"before": before_race, "after": clock_state()}
-    if save is not None and len(known) < len(tasks):
+    if save is not None and missing:
         append_clock(save, clock)
-    progress("done", done, len(tasks))
-    return {**facts, "clocks": [*earlier_clocks, clock]}, results
+    return {**facts, "clocks": [*earlier_clocks, clock]}, [known[task] for task in tasks]
+
+
+def _run_here(tasks: Sequence[RaceTask], limit: float) -> Iterator[RaceOutcome]:
+    """Yield the outcomes of tasks that run one after another, each solver in a process of its own."""
+    for _, own in groupby(tasks, key=lambda task: task.solver):
+        with Worker(limit) as worker:
+            yield from map(worker.run, own)
+
+
+def _earlier_outcomes(save: Path, facts: dict[str, Any]) -> tuple[dict[RaceTask, RaceOutcome], list[Any]]:
+    """Return the outcomes and clock rates of a saved race, after checking that its conditions are the same."""
+    before, outcomes = load(save)
+    different = [name for name in facts if before.get(name) != facts[name] and name != "versions"]
+    different += [name for name, own in facts["versions"].items() if before["versions"].get(name, own) != own]
+    if different:
+        allowed = f"a new file, or one with the same conditions; this one was made with another {different[0]}"
+        raise InvalidInput("save", str(save), allowed)
+    drop_partial_line(save)
+    return {outcome.task: outcome for outcome in outcomes}, before.get("clocks", [])
 
 
 def race_conditions(race: RacePlan) -> dict[str, Any]:

@@ -44,6 +44,7 @@ LIBRARIES = {
     "sklearn": OptionalLibrary("scikit-learn", "learned models", "learn"),
     "torch": OptionalLibrary("PyTorch", "differentiable forces", "torch"),
     "jax": OptionalLibrary("JAX", "differentiable forces", "jax"),
+    "distributed": OptionalLibrary("Dask", "clusters", "cluster"),
     "pyarrow": OptionalLibrary("pyarrow", "Parquet files", "learn"),
 }
 

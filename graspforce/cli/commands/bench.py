@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -51,6 +51,10 @@ def bench(
     limit: Annotated[
         float, typer.Option("--time-limit", metavar="S", help="Processor time after which a solver is stopped, s.")
     ] = 2.0,
+    cluster: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Dask scheduler whose workers run the solvers, such as tcp://host:8786."),
+    ] = None,
     save: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Save outcomes here; cases that the file already holds are skipped.")
     ] = None,
@@ -71,7 +75,8 @@ def bench(
     cases = (*(case or ()), *(problems.smoke_names() if smoke else ()))
     race_plan = race.make_race_plan(solver or (), settings or (), units or (), collection or (), max_cases, limit, cases)
     before = None if compare is None else load(compare)[1]
-    facts, outcomes = _outcomes(race_plan, answers or (), save, run=bool(solver) or not answers)
+    run = (lambda: _race(race_plan, save, cluster)) if solver or not answers else None
+    facts, outcomes = _outcomes(race_plan, answers or (), run)
     if as_json:
         print_json({"facts": facts, "outcomes": [outcome.to_dict() for outcome in outcomes]})
     else:
@@ -98,14 +103,15 @@ def _options(named: Mapping[str, Sequence[object] | None]) -> list[str]:
     return [f"--{name} {value}" for name, values in named.items() for value in values or ()]
 
 
-def _outcomes(race_plan: Any, answers: Sequence[Path], save: Path | None, run: bool) -> tuple[dict[str, Any], list[Any]]:
+def _outcomes(
+    race_plan: Any, answers: Sequence[Path], run: Callable[[], tuple[dict[str, Any], list[Any]]] | None
+) -> tuple[dict[str, Any], list[Any]]:
     """Return the conditions and outcomes of the race and of the answers.
 
     Args:
         race_plan: the plan of the race.
         answers: files with answers of solvers that do not run here.
-        save: file for the outcomes of the race.
-        run: whether to run the race.
+        run: function that runs the race; None to judge the answers only.
     """
     import dataclasses
 
@@ -113,12 +119,12 @@ def _outcomes(race_plan: Any, answers: Sequence[Path], save: Path | None, run: b
     from graspforce.bench.race import race_conditions
 
     reported = [outcome for path in answers for outcome in judge_answers(path.stem, load_answers(path))]
-    facts, outcomes = _race(race_plan, save) if run else (race_conditions(dataclasses.replace(race_plan, solvers=())), [])
+    facts, outcomes = run() if run is not None else (race_conditions(dataclasses.replace(race_plan, solvers=())), [])
     versions = {**facts["versions"], **{path.stem: "(answers only, times reported)" for path in answers}}
     return {**facts, "versions": versions}, [*outcomes, *reported]
 
 
-def _race(race_plan: Any, save: Path | None) -> Any:
+def _race(race_plan: Any, save: Path | None, cluster: str | None) -> Any:
     """Run the race with a progress bar."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -127,4 +133,8 @@ def _race(race_plan: Any, save: Path | None) -> Any:
     columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.description}"))
     with Progress(*columns, console=progress_console(), transient=True) as bar:
         shown = bar.add_task("", total=None)
-        return race.run(race_plan, save, lambda what, done, of: bar.update(shown, description=what, completed=done, total=of))
+
+        def show(what: str, done: int, of: int) -> None:
+            bar.update(shown, description=what, completed=done, total=of)
+
+        return race.run(race_plan, save, show, cluster)
