@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.dask_processes import scheduler, worker
 
 import graspforce as gf
+from benchmarks.dask_processes import scheduler, worker
 from graspforce import problems
 from graspforce.analysis import solve_many as labelling
 from graspforce.core.errors import BackendError

@@ -7,8 +7,8 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from support.dask_processes import scheduler, worker
 
+from benchmarks.dask_processes import scheduler, worker
 from graspforce.bench import race
 from graspforce.bench.cluster import run_batch
 from graspforce.bench.judge import Verdict

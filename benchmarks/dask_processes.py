@@ -13,7 +13,11 @@ from pathlib import Path
 
 @contextmanager
 def scheduler(folder: Path) -> Iterator[str]:
-    """Run a scheduler of Dask in its own process, and yield its address."""
+    """Run a scheduler of Dask in its own process, and yield its address.
+
+    Args:
+        folder: existing folder for the file with the address.
+    """
     file = folder / "scheduler.json"
     command = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
     process = subprocess.Popen([*command, "--scheduler-file", str(file)], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
@@ -29,7 +33,12 @@ def scheduler(folder: Path) -> Iterator[str]:
 
 @contextmanager
 def worker(address: str, name: str) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a worker with one thread in its own process."""
+    """Run a worker with one thread in its own process, and yield the process.
+
+    Args:
+        address: address of the scheduler.
+        name: name of the worker.
+    """
     command = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny", "--name", name]
     process = subprocess.Popen([*command, "--no-dashboard"], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
     try:
