@@ -30,7 +30,7 @@ from graspforce.problems.derivations.records import CLOSED_FORM
 from graspforce.problems.generators.no_interior import find_proof
 from graspforce.problems.json_format import format_case_line
 
-GENERATED = ("hard", "infeasible", "ist", "pyramid", "scaling", "soft", "trajectory")
+GENERATED = ("hard", "infeasible", "ist", "pyramid", "scaling", "soft", "trajectory", "whole-hand")
 _SOLVERS = ("structured", "clarabel", "ecos", "qoco", "highs", "piqp", "daqp", "proxqp")  # run in this order until two agree
 _TOLERANCE_FACTOR = 3.0  # tolerance of the optimum over the difference of two objectives
 _MAX_TOLERANCE = 1e-4  # largest accepted tolerance of an optimum, relative
@@ -45,7 +45,8 @@ def main() -> None:
     for unknown in set(requested) - set(GENERATED):
         parser.error(f"unknown collection {unknown!r}; known: {', '.join(GENERATED)}")
     for collection in requested or GENERATED:
-        generator = importlib.import_module(f"graspforce.problems.generators.{collection}")
+        module = collection.replace("-", "_")
+        generator = importlib.import_module(f"graspforce.problems.generators.{module}")
         records = list(generator.cases())
         cases = [solve_record(record) for record in track(records, description=f"{collection:12}")]
         path = Path(__file__).parents[1] / "problems" / collection / "cases.jsonl"

@@ -22,7 +22,7 @@ from graspforce.problems.json_format import format_case
 
 FOLDER_VARIABLE = "GRASPFORCE_PROBLEMS"  # environment variable: folder of collections that replaces the library
 _CASE_SUFFIX, _BUNDLE_SUFFIX = ".json", ".jsonl"
-DATA_VERSION = "1.0.1"  # major: answers changed; minor: cases added; patch: texts and proofs added or corrected
+DATA_VERSION = "1.1.0"  # major: answers changed; minor: cases added; patch: texts and proofs added or corrected
 TEXTBOOK = ("fixture", "nose-cone", "opposed", "ring")  # collections whose answers are derived
 _DESCRIPTIONS = {
     "fixture": "textbook: frictionless locators and clamps",
@@ -36,6 +36,7 @@ _DESCRIPTIONS = {
     "scaling": "3 to 1000 contacts",
     "soft": "soft fingers, every objective",
     "trajectory": "sequences of problems along a motion, for warm starts",
+    "whole-hand": "several contacts on a finger, on inner links and the palm, and joints that all fingers share",
 }
 
 

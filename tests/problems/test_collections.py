@@ -23,7 +23,7 @@ from graspforce.problems.generators.grasp_classes import GRASP_CLASSES, contact_
 from graspforce.problems.generators.records import contact_set
 from graspforce.problems.objects import ist_objects
 
-GENERATED = ("hard", "infeasible", "ist", "pyramid", "scaling", "soft", "trajectory")
+GENERATED = ("hard", "infeasible", "ist", "pyramid", "scaling", "soft", "trajectory", "whole-hand")
 
 
 def test_there_are_enough_cases_of_every_kind() -> None:
@@ -53,7 +53,7 @@ def test_every_generated_answer_names_its_verifiers() -> None:
                 assert known.verified_by == ("proof",), name
 
 
-@pytest.mark.parametrize("collection", ["hard", "pyramid", "soft", "ist", "trajectory", "scaling"])
+@pytest.mark.parametrize("collection", ["hard", "pyramid", "soft", "ist", "trajectory", "scaling", "whole-hand"])
 def test_optima_by_a_solver_that_shares_no_formula(collection: str) -> None:
     """QOCO on a formulation in SI written apart; a few cases of each collection. It is good to about 1e-6 there."""
     names = [name for name in problems.names(collection) if not name.startswith(("hard/scales", "hard/near", "hard/slippery"))]
@@ -67,9 +67,8 @@ def test_optima_by_a_solver_that_shares_no_formula(collection: str) -> None:
 @pytest.mark.parametrize("collection", [name for name in GENERATED if name != "ist"])  # its search takes seconds: see below
 def test_generators_reproduce_the_files(collection: str) -> None:
     """The same names in full; the numbers of what is quick to make, all but the last digits, which machines differ in."""
-    stated = {
-        record["name"]: record for record in importlib.import_module(f"graspforce.problems.generators.{collection}").cases()
-    }
+    module = importlib.import_module(f"graspforce.problems.generators.{collection.replace('-', '_')}")
+    stated = {record["name"]: record for record in module.cases()}
     assert sorted(stated) == sorted(problems.names(collection))
     for name, record in stated.items():
         kept = json.loads(problems.text(name))
@@ -78,6 +77,25 @@ def test_generators_reproduce_the_files(collection: str) -> None:
             assert expected["status"] == "infeasible"
         record.pop("expected", None)
         assert _near(record, kept), name
+
+
+def test_whole_hand_contacts_feel_the_joints_before_their_link_only() -> None:
+    """Palm contacts feel no joint, some fingers have several contacts, and shared joints move all fingers."""
+    several = 0
+    for name in problems.names("whole-hand"):
+        problem = problems.load(name).problem
+        shared, palm = {"inner": (0, 0), "palm": (0, 1), "shared": (1, 0), "shared-palm": (2, 2)}[name[11:-3]]
+        moved = np.abs(problem.actuation.J) > 0.0
+        rows = problem.contacts.columns // 4
+        felt = np.array([moved[rows == i].any(axis=0) for i in range(len(problem.contacts))])
+        on_fingers = felt[: len(felt) - palm]
+        assert not felt[len(felt) - palm :].any()
+        assert on_fingers[:, :shared].all()
+        fingers = on_fingers[:, shared:].reshape(len(on_fingers), -1, 3)
+        assert (fingers.any(axis=2).sum(axis=1) == 1).all()  # one finger each
+        assert (np.diff(fingers.astype(int), axis=2) <= 0).all()  # joints from the base on
+        several += int((fingers.any(axis=2).sum(axis=0) > 1).any())
+    assert several > 50
 
 
 def test_ist_loads_and_contacts_follow_the_table() -> None:
