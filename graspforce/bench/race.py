@@ -175,10 +175,10 @@ def run(
             append(save, outcome)
         done += 1
         progress(f"{task.solver} {task.settings} {task.units} {task.case}", done, len(tasks))
-    clock = {"before": before_race, "after": clock_state()}
-    if save is not None and missing:
-        append_clock(save, clock)
-    return {**facts, "clocks": [*earlier_clocks, clock]}, [known[task] for task in tasks]
+    clocks = [{"before": before_race, "after": clock_state()}] if missing else []
+    if save is not None and clocks:
+        append_clock(save, clocks[0])
+    return {**facts, "clocks": [*earlier_clocks, *clocks]}, [known[task] for task in tasks]
 
 
 def _run_here(tasks: Sequence[RaceTask], limit: float) -> Iterator[RaceOutcome]:
