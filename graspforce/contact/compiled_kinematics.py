@@ -1,7 +1,6 @@
 """Rolling contact in C: calls the compiled form of `contact.kinematics` where it applies, and the reference elsewhere.
 
-The compiled form needs the compiled module and a shape whose closest points have a closed form: a sphere, cylinder, box or
-plane.
+The compiled form needs the compiled module and a shape that it supports: a sphere, cylinder, box, superquadric or plane.
 """
 
 from __future__ import annotations
@@ -23,8 +22,9 @@ from graspforce.contact.motion import BodyMotion, TipMotion
 from graspforce.core.arrays import Array
 from graspforce.core.compiled import Block, native, new_block
 from graspforce.geometry import Shape
+from graspforce.geometry.shape import SurfaceParameters
 
-_PLANE = ("plane", 0.0, 0.0, 0.0)  # as Shape.primitive_parameters, for an object without a shape
+_PLANE: SurfaceParameters = ("plane", 0.0, 0.0, 0.0)  # as Shape.primitive_parameters, for an object without a shape
 
 
 def rolling_contacts(
@@ -88,7 +88,7 @@ def slip_displacement(before: TipContactState, now: TipContactState, R_OC: Array
     return slip
 
 
-def primitive_parameters(shape: Shape | None) -> tuple[str, float, float, float] | None:
+def primitive_parameters(shape: Shape | None) -> SurfaceParameters | None:
     """Return kind and sizes of a shape for the compiled form; None if it does not support the shape.
 
     Args:

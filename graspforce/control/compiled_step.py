@@ -94,7 +94,7 @@ def step_parameters(
 
 
 class CompiledStep:
-    """Compiled control step, for an object whose surface has a closed form.
+    """Compiled control step, for an object whose shape the C code supports.
 
     Args:
         grasp: hand, object and contacts.

@@ -17,7 +17,13 @@ from graspforce.hand.contact_tips import check_fingertips
 from graspforce.hand.model_source import write_hand_source
 
 _DEFAULTS = ControlSettings()
-_SURFACES = {"plane": "GF_PLANE", "sphere": "GF_SPHERE", "cylinder": "GF_CYLINDER", "box": "GF_BOX"}
+_SURFACES = {
+    "plane": "GF_PLANE",
+    "sphere": "GF_SPHERE",
+    "cylinder": "GF_CYLINDER",
+    "box": "GF_BOX",
+    "superquadric": "GF_SUPERQUADRIC",
+}
 _INTEGERS = {"tip_links": "int", "constraint_rows": "int", "force_rows": "int", "moves_tip": "unsigned char"}
 _OUTSIDE_GRASP = ("surface", "tip_links")  # parameters that are no arrays or numbers of gf_controlled_grasp
 
@@ -40,7 +46,7 @@ def write_controller(
         Paths of the controller's header and source, and of the hand's header and source.
 
     Raises:
-        InvalidInput: the name is no C identifier, the surface of the object has no closed form, the settings compensate joint
+        InvalidInput: the name is no C identifier, the C code does not support the object's shape, the settings compensate joint
             friction, which the C controller does not, or a contact is not at a fingertip.
     """
     check_identifier(name, "name")
@@ -48,7 +54,7 @@ def write_controller(
     if settings.friction is not None:
         raise InvalidInput("settings.friction", settings.friction, "None: the C controller does not compensate joint friction")
     if primitive_parameters(grasp.body.shape) is None:
-        allowed = "a sphere, cylinder or box, or no shape, for which each contact has a plane"
+        allowed = "a sphere, cylinder, box or superquadric, or no shape, for which each contact has a plane"
         raise InvalidInput("grasp.body.shape", grasp.body.shape, allowed)
     law = ObjectControlLaw(grasp, settings)
     hand_files = write_hand_source(grasp.hand, folder, name)

@@ -266,8 +266,8 @@ class ObjectControlLaw:
     ) -> StepTargets:
         """Compute the accelerations of object and joints and the wrench: the step before the force solve.
 
-        The C code computes them if the surface has a closed form, every twist is feasible and all drives are on, otherwise this
-        method does.
+        The C code computes them if it supports the object's shape, every twist is feasible and all drives are on; this method
+        does in all other cases.
 
         Args:
             memory: as in `step`.

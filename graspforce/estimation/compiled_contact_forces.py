@@ -90,7 +90,7 @@ class CompiledContactForces(ContactForces):
 
 
 class CompiledForceEstimator(ContactForceEstimator):
-    """Estimator of the contact forces of a grasp by compiled code. The object's surface has a closed form.
+    """Estimator of the contact forces of a grasp by compiled code, which supports the object's shape.
 
     Args:
         grasp: hand, object and contacts.

@@ -26,6 +26,7 @@ from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.geometry.vectors import row_norms, tangent_bases
 
+SurfaceParameters = tuple[str, float, float, float] | tuple[str, float, float, float, float, float]
 SURFACE_TOLERANCE = 1e-6  # distance from the surface, or from an edge, that counts as zero; relative to the half-extent
 
 
@@ -66,8 +67,11 @@ class Shape(ABC):
         """
 
     @property
-    def primitive_parameters(self) -> tuple[str, float, float, float] | None:
-        """Kind and sizes of a primitive for compiled code (`csrc/control/closest_point.inc`); None for other shapes."""
+    def primitive_parameters(self) -> SurfaceParameters | None:
+        """Kind and sizes of a shape that compiled code supports (`csrc/control/closest_point.inc`); None for other shapes.
+
+        A superquadric adds its exponents.
+        """
         return None
 
     def to_dict(self) -> JsonRecord:

@@ -13,7 +13,7 @@ from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
 from graspforce.core.records import set_fields
-from graspforce.geometry.shape import SURFACE_TOLERANCE, Solid
+from graspforce.geometry.shape import SURFACE_TOLERANCE, Solid, SurfaceParameters
 from graspforce.geometry.superquadric_closest_point import START_OFFSET, Pair, minimise_distance
 
 _GRID_SIDE = np.linspace(0.0, 1.0, 33)  # fine enough to start in every basin of attraction of an octant
@@ -87,6 +87,12 @@ class Superquadric(Solid):
     @property
     def _largest_half_extent(self) -> float:
         return float(self.axes.max())
+
+    @property
+    def primitive_parameters(self) -> SurfaceParameters:
+        a, b, c = self.axes.tolist()
+        e1, e2 = self.exponents.tolist()
+        return "superquadric", a, b, c, e1, e2
 
     @property
     def volume(self) -> float:

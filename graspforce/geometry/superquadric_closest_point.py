@@ -16,7 +16,7 @@ from __future__ import annotations
 _MAX_STEPS, _MAX_HALVINGS = 300, 40  # about 5 and 0 are typical; an ellipsoid of 700:1 needs about 100 steps
 _STEP_TOLERANCE = 1e-12  # relative to the size: a shorter step has converged
 _ROUNDING_STEP = 1e-9  # relative to the size: at a shorter step, f changes by rounding only, but its slopes are significant
-_MAX_ROUNDING_STEPS = 3  # largest number of such steps
+_MAX_ROUNDING_STEPS = 20  # largest number of such steps
 _STRAIGHT_POWER = 1.0 + 1e-4  # below this power an arc is treated as a line, because v underflows before its slope changes
 _TINY = 1e-300
 _MIN_TAU_FRACTION = 0.1  # smallest fraction of τ after a step that may not reach the end of an arc

@@ -20,7 +20,7 @@ from graspforce.contact.kinematics import (
     slip_displacement_reference,
 )
 from graspforce.contact.motion import BodyMotion
-from graspforce.geometry import Box, Cylinder, Sphere, Superquadric
+from graspforce.geometry import Box, Cylinder, ImplicitSurface, Sphere, Superquadric
 from graspforce.geometry.shape import Shape
 
 pytest.importorskip("graspforce.core._native", reason="the compiled module was not built: no C compiler at installation")
@@ -150,8 +150,9 @@ def test_contacts_of_every_grasp_in_c_are_those_of_the_reference(name: str) -> N
         assert_same(rolling_contacts(*arguments), law)
 
 
-def test_only_shapes_with_a_closed_form_are_compiled() -> None:
-    assert Superquadric([0.03, 0.02, 0.02], [0.5, 0.5]).primitive_parameters is None
+def test_implicit_surfaces_and_meshes_are_not_compiled() -> None:
+    assert ImplicitSurface(lambda p: p @ p - 1.0, lambda p: 2.0 * p, 1.0).primitive_parameters is None
+    assert Superquadric([0.03, 0.02, 0.02], [0.5, 0.6]).primitive_parameters == ("superquadric", 0.03, 0.02, 0.02, 0.5, 0.6)
     assert Sphere(0.03).primitive_parameters == ("sphere", 0.03, 0.0, 0.0)
     assert Cylinder(0.03, 0.1).primitive_parameters == ("cylinder", 0.03, 0.05, 0.0)
     assert Box([0.02, 0.04, 0.06]).primitive_parameters == ("box", 0.01, 0.02, 0.03)

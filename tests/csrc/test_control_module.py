@@ -181,6 +181,9 @@ def test_surfaces_are_a_kind_and_three_sizes() -> None:
         assert_refused(call, arguments, "surface", [surface])
     with pytest.raises(ValueError, match="surface = 'mesh': must be plane, sphere, cylinder or box"):
         call(**{**arguments, "surface": ("mesh", 1.0, 1.0, 1.0)})
+    for exponents in ((), (0.0, 1.0), (1.0, 2.1), (1.0, np.nan)):
+        with pytest.raises(ValueError, match="exponents of a superquadric must be greater than 0 and at most 2"):
+            call(**{**arguments, "surface": ("superquadric", 1.0, 1.0, 1.0, *exponents)})
 
 
 def test_contiguity_and_width_are_checked() -> None:

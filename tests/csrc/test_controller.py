@@ -25,6 +25,8 @@ from support.control_grasps import named_grasp, soft_box_grasp
 from graspforce import Contact, ContactSet
 from graspforce.control import ControlSettings, FrictionSettings, write_controller
 from graspforce.core.errors import InvalidInput
+from graspforce.geometry import ImplicitSurface
+from graspforce.grasp.body import Body
 
 pytestmark = pytest.mark.skipif(COMPILER is None or CPP_COMPILER is None, reason="needs a C and a C++ compiler")
 SANITIZERS = ["-O0", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
@@ -44,6 +46,7 @@ def library(tmp_path_factory) -> list[Path]:
         ("control_loop.c", "allegro_right sphere"),
         ("control_loop.c", "dlr_hit2 sphere"),
         ("control_loop.c", "four_finger box"),
+        ("control_loop.c", "four_finger superquadric"),
         ("control_loop.cpp", "allegro_right cylinder"),
     ],
 )
@@ -174,7 +177,9 @@ def test_settings_that_c_does_not_follow_are_refused(tmp_path: Path) -> None:
     grasp = named_grasp("allegro_right sphere")
     with pytest.raises(InvalidInput, match="joint friction"):
         write_controller(grasp, tmp_path, ControlSettings(friction=FrictionSettings()))
+    ball = ImplicitSurface(lambda p: p @ p - 9e-4, lambda p: 2.0 * p, 0.03)
+    body = Body(grasp.body.mass, grasp.body.inertia, grasp.body.p_OM, ball)
     with pytest.raises(InvalidInput, match=r"grasp\.body\.shape"):
-        write_controller(named_grasp("four_finger superquadric"), tmp_path)
+        write_controller(replace(grasp, body=body), tmp_path)
     with pytest.raises(InvalidInput, match="letters"):
         write_controller(grasp, tmp_path, name="2nd")

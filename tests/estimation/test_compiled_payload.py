@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from support.allegro_grasp import PALM_UP, three_finger_grasp
 from support.control_grasps import named_grasp
+from support.shapes import SURFACES
 
 from graspforce.contact.motion import BodyMotion
 from graspforce.estimation import GraspEstimator, Measurement, SensorModel
@@ -14,7 +15,6 @@ from graspforce.estimation.compiled_contact_forces import CompiledForceEstimator
 from graspforce.estimation.compiled_payload import CompiledPayloadEstimator, ForcePayloadEstimator, make_payload_estimator
 from graspforce.estimation.contact_forces import ForceMemory, ForceModelErrors
 from graspforce.estimation.payload import PayloadSettings
-from graspforce.geometry import Superquadric
 from graspforce.grasp.body import Body
 
 pytest.importorskip("graspforce.core._native", reason="the compiled module was not built: no C compiler at installation")
@@ -66,9 +66,9 @@ def test_estimates_equal_those_of_the_reference(name, seed):
     assert not memories[0].estimate.external.flags.writeable
 
 
-def test_surfaces_without_a_closed_form_use_the_reference():
+def test_surfaces_that_the_c_code_lacks_use_the_reference():
     grasp = three_finger_grasp()
     estimator = make_payload_estimator(grasp.body, PERIOD)
     assert type(estimator) is CompiledPayloadEstimator
-    solid = Body.solid(Superquadric((0.03, 0.03, 0.03), (0.5, 0.5)), 0.05)
-    assert type(make_payload_estimator(solid, PERIOD)) is ForcePayloadEstimator
+    body = Body(0.05, 1e-5 * np.eye(3), np.zeros(3), SURFACES["implicit"])
+    assert type(make_payload_estimator(body, PERIOD)) is ForcePayloadEstimator

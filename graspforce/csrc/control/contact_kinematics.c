@@ -44,26 +44,29 @@ static double gf_update_contact_frame(const gf_vector3 inward, const gf_matrix3 
 }
 
 /* Compute the contact point x, its frame R and its velocity over the surface, for a tip at c that moves with c_rate relative to
- * the object. Return the gap, m. */
+ * the object. Without c_rate (NULL), the velocity is 0. Return the gap, m. */
 static double gf_locate_contact(const gf_object_state *object, const gf_fingertip *tip, const gf_vector3 c,
-                                const gf_vector3 c_rate, gf_vector3 x, gf_matrix3 R, gf_vector3 surface_velocity)
+                                const double *c_rate, gf_vector3 x, gf_matrix3 R, gf_vector3 surface_velocity)
 {
     gf_vector3 offset, n, inward;
     for (int k = 0; k < 3; k++) offset[k] = tip->p_OC_start[k] - c[k], n[k] = tip->R_OC_start[3 * k + NORMAL];
+    memset(surface_velocity, 0, sizeof(gf_vector3));
     if (tip->radius == 0.0) {
         memcpy(x, tip->p_OC_start, sizeof(gf_vector3));
         memcpy(R, tip->R_OC_start, sizeof(gf_matrix3));
-        memset(surface_velocity, 0, sizeof(gf_vector3));
         return gf_dot(offset, n);
     }
     if (object->surface.kind == GF_PLANE) {
-        const double height = gf_dot(offset, n), speed = gf_dot(c_rate, n);
-        for (int k = 0; k < 3; k++) x[k] = c[k] + height * n[k], surface_velocity[k] = c_rate[k] - speed * n[k];
+        const double height = gf_dot(offset, n), speed = c_rate == NULL ? 0.0 : gf_dot(c_rate, n);
+        for (int k = 0; k < 3; k++) x[k] = c[k] + height * n[k];
+        for (int k = 0; k < 3 && c_rate != NULL; k++) surface_velocity[k] = c_rate[k] - speed * n[k];
     } else {
+        gf_closest_point(&object->surface, c, x);
+    }
+    if (object->surface.kind != GF_PLANE && c_rate != NULL) {
         gf_vector3 later, earlier, x_later, x_earlier;
         for (int k = 0; k < 3; k++)
             later[k] = c[k] + DIFFERENCE_TIME * c_rate[k], earlier[k] = c[k] - DIFFERENCE_TIME * c_rate[k];
-        gf_closest_point(&object->surface, c, x);
         gf_closest_point(&object->surface, later, x_later);
         gf_closest_point(&object->surface, earlier, x_earlier);
         for (int k = 0; k < 3; k++) surface_velocity[k] = (x_later[k] - x_earlier[k]) * (0.5 / DIFFERENCE_TIME);
@@ -139,7 +142,9 @@ static void gf_tip_motion_in_O(const gf_object_state *object, const gf_fingertip
     for (int k = 0; k < 3; k++) motion->omega_F[k] = motion->spin[k] + motion->omega_O[k];
 }
 
-void gf_compute_contact(const gf_object_state *object, const gf_fingertip *tip, const gf_contacts *contact)
+/* Compute one contact; without `rates`, as if its point did not move over the object. */
+static void gf_compute_contact_with(const gf_object_state *object, const gf_fingertip *tip, int rates,
+                                    const gf_contacts *contact)
 {
     gf_contact_motion motion;
     gf_vector3 swept, seen_rate, surface_velocity, arm, n, bias, bias_F;
@@ -147,7 +152,7 @@ void gf_compute_contact(const gf_object_state *object, const gf_fingertip *tip, 
     gf_tip_motion_in_O(object, tip, &motion);
     gf_cross(motion.omega_O, motion.c, swept);
     for (int k = 0; k < 3; k++) seen_rate[k] = motion.c_rate[k] - swept[k];
-    const double gap = gf_locate_contact(object, tip, motion.c, seen_rate, x, R, surface_velocity);
+    const double gap = gf_locate_contact(object, tip, motion.c, rates ? seen_rate : NULL, x, R, surface_velocity);
 
     gf_cross(motion.omega_O, x, motion.x_rate);
     for (int k = 0; k < 3; k++) {
@@ -179,6 +184,16 @@ void gf_compute_contact(const gf_object_state *object, const gf_fingertip *tip, 
         gf_multiply_transposed(object->R_HO, axis_H, axis);
         for (int j = 0; j < 3; j++) contact->R_OF[3 * j + k] = axis[j];
     }
+}
+
+void gf_compute_contact(const gf_object_state *object, const gf_fingertip *tip, const gf_contacts *contact)
+{
+    gf_compute_contact_with(object, tip, 1, contact);
+}
+
+void gf_compute_contact_place(const gf_object_state *object, const gf_fingertip *tip, const gf_contacts *contact)
+{
+    gf_compute_contact_with(object, tip, 0, contact);
 }
 
 void gf_slip_displacement(const gf_tip_contact *last, const double *p_OF, const double *R_OF, const double *R_OC,

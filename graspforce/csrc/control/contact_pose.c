@@ -200,7 +200,7 @@ static void gf_residuals(const gf_tracked_grasp *grasp, const gf_tracking_inputs
         const gf_contacts before = gf_contact_at(&last->contacts, i, grasp->motor_count);
         const gf_contacts now = gf_contact_at(&next->contacts, i, grasp->motor_count);
         const gf_fingertip tip = gf_tip_at(grasp, last, tips, i);
-        gf_compute_contact(object, &tip, &now);
+        gf_compute_contact_place(object, &tip, &now);
         gf_slip_since(&before, &now, r);
         for (int t = 0; t < 2; t++) {
             r[t] += weights[t] > 0.0 ? last->slip[2 * i + t] : 0.0;

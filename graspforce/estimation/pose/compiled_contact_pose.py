@@ -1,4 +1,4 @@
-"""Pose from the contacts in C (`csrc/include/graspforce/contact_pose.h`), for an object whose surface has a closed form.
+"""Pose from the contacts in C (`csrc/include/graspforce/contact_pose.h`), for an object whose shape it supports.
 
 `contact_pose.ContactPoseTracker` is the reference implementation. The C code writes a pose to one block of memory, which the
 next step reads. Fields that are seldom needed become arrays at their first access.
@@ -74,7 +74,7 @@ class CompiledTracker(ContactPoseTracker):
     """Tracks the pose of the object in a grasp by compiled code.
 
     Args:
-        grasp: hand, object and contacts. The object's surface has a closed form.
+        grasp: hand, object and contacts. The C code supports the object's shape.
         period: time between two steps, s.
     """
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.allegro_grasp import three_finger_grasp
@@ -9,13 +11,16 @@ from support.control_grasps import named_grasp, with_all_contact_models
 
 from graspforce.estimation.pose.compiled_contact_pose import CompiledTracker, make_tracker
 from graspforce.estimation.pose.contact_pose import ContactPoseTracker
+from graspforce.geometry import ImplicitSurface
+from graspforce.grasp.body import Body
 
 pytest.importorskip("graspforce.core._native", reason="the compiled module was not built: no C compiler at installation")
 
 FIELDS = ("p_HO", "R_HO", "twist", "R_OC", "slip", "spin", "gap", "A", "B")
 # Numbers of order one, and normal equations with a condition below N/1e-4: some 1e4 times 1e-16.
 ROUNDING = 1e-12
-GRASPS = ["allegro", "four_finger sphere", "four_finger cylinder", "four_finger box", "dlr_hit2 sphere", "anthropomorphic15"]
+GRASPS = ["allegro", "four_finger sphere", "four_finger cylinder", "four_finger box", "four_finger superquadric"]
+GRASPS += ["dlr_hit2 sphere", "anthropomorphic15"]
 
 
 def grasp_of(name, all_models):
@@ -63,6 +68,9 @@ def test_a_gap_in_the_measurements_is_iterated_alike():
     assert_equal(*poses, ROUNDING)
 
 
-def test_shapes_without_a_closed_form_use_the_reference():
-    assert type(make_tracker(named_grasp("four_finger superquadric"), 1e-3)) is ContactPoseTracker
+def test_shapes_that_the_c_code_lacks_use_the_reference():
+    ball = named_grasp("four_finger sphere")
+    same = ImplicitSurface(lambda p: p @ p - 0.036**2, lambda p: 2.0 * p, 0.036)
+    body = Body(ball.body.mass, ball.body.inertia, ball.body.p_OM, same)
+    assert type(make_tracker(replace(ball, body=body), 1e-3)) is ContactPoseTracker
     assert type(make_tracker(named_grasp("four_finger sphere"), 1e-3)) is CompiledTracker

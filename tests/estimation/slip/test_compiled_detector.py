@@ -7,6 +7,7 @@ import pytest
 from support.allegro_grasp import PALM_UP, three_finger_grasp
 from support.control_grasps import named_grasp
 from support.rolling_motion import rolling_samples, smooth_motion
+from support.shapes import SURFACES
 
 from graspforce.estimation import CameraModel, GraspEstimator, Measurement, SensorModel
 from graspforce.estimation.compiled_contact_forces import CompiledForceEstimator
@@ -14,7 +15,7 @@ from graspforce.estimation.contact_forces import ForceMemory
 from graspforce.estimation.slip.compiled_detector import CompiledSlipDetector, make_detector
 from graspforce.estimation.slip.detector import SlipDetector, SlipInputs
 from graspforce.estimation.slip.slip_settings import SlipSettings
-from graspforce.geometry import Sphere, Superquadric
+from graspforce.geometry import Sphere
 
 pytest.importorskip("graspforce.core._native", reason="the compiled module was not built: no C compiler at installation")
 
@@ -93,6 +94,6 @@ def test_other_windows_equal_those_of_the_reference():
     assert compare(three_finger_grasp(), PERIOD * np.arange(300), settings, slip_from=250, pose_every=1) > 0
 
 
-def test_surfaces_without_a_closed_form_use_the_reference():
+def test_surfaces_that_the_c_code_lacks_use_the_reference():
     assert type(make_detector(3, Sphere(0.03), SENSORS, PERIOD)) is CompiledSlipDetector
-    assert type(make_detector(3, Superquadric((0.03, 0.03, 0.03), (0.5, 0.5)), SENSORS, PERIOD)) is SlipDetector
+    assert type(make_detector(3, SURFACES["implicit"], SENSORS, PERIOD)) is SlipDetector

@@ -25,16 +25,17 @@ typedef gf_real gf_vector3[3];
 typedef gf_real gf_matrix3[9]; /* by rows */
 
 typedef enum {
-    GF_PLANE,    /* the tangent plane of each contact at the start of the grasp, for an object of unknown shape */
-    GF_SPHERE,   /* size: radius */
-    GF_CYLINDER, /* size: radius, half of the height; about the z axis */
-    GF_BOX       /* size: half of each edge */
+    GF_PLANE,       /* the tangent plane of each contact at the start of the grasp, for an object of unknown shape */
+    GF_SPHERE,      /* size: radius */
+    GF_CYLINDER,    /* size: radius, half of the height; about the z axis */
+    GF_BOX,         /* size: half of each edge */
+    GF_SUPERQUADRIC /* size: half-extents a, b and c, then the exponents e1 and e2, from 0 (exclusive) to 2 */
 } gf_surface_kind;
 
 /* Surface of an object, in O. */
 typedef struct {
     gf_surface_kind kind;
-    gf_real size[3]; /* m */
+    gf_real size[5]; /* m, and exponents; numbers that a kind does not use are 0 */
 } gf_surface;
 
 /* Pose and twist of an object. */
@@ -104,6 +105,10 @@ gf_contacts gf_contact_at(const gf_contacts *all, int i, int motor_count);
  * tip      the fingertip
  * contact  parts of the output arrays; written */
 void gf_compute_contact(const gf_object_state *object, const gf_fingertip *tip, const gf_contacts *contact);
+
+/* Compute one contact as if its point did not move over the object: all outputs but beta and spin_beta are those of
+ * gf_compute_contact(). It takes a third of the closest points. */
+void gf_compute_contact_place(const gf_object_state *object, const gf_fingertip *tip, const gf_contacts *contact);
 
 /* Pose of a fingertip on the object at one instant, and its contact point. */
 typedef struct {
