@@ -12,8 +12,11 @@ Fingertip sensors measure the force during the slip, whatever accelerates. Force
 forces that accelerate the finger, which widen the bounds. Such a slip may also be over when it is found: it is used if the
 finger is found slipping again soon after, at the same ratio, as it slid at this ratio in between.
 
-Earlier slip of a finger moves its contact by an unknown part of it, which turns the normal. A ratio that is too uncertain shows
-nothing: μ then stays unbounded above. So finite bounds are at most 4 max(0.15 r, 0.025) apart, with two deviations each way.
+Slip of a finger moves its contact by an unknown part of it, which turns the normal. All earlier slip counts as error. The slip
+that was just found, s, counts with the standard deviation of a uniform part, s/√12. If the ratio changes, the mean over the
+window lags behind. So the difference between momentary and mean ratio also counts as error, less its noise. A ratio that is too
+uncertain shows nothing: μ then stays unbounded above. Finite bounds are at most 4 max(0.15 r, 0.023) apart, with two deviations
+each way.
 """
 
 from __future__ import annotations
@@ -37,7 +40,8 @@ from graspforce.estimation.slip.detector import SlipEstimate
 _STICK_STEPS = 8  # periods between two updates of the lower bounds
 _ALIGNED = 0.7  # least cosine of the angle between the slip of a finger and its force on the object
 _PARALLEL = 0.95  # the same if another finger is nearly as likely to slip
-_WEAK, _WEAK_RATIO = 0.15, 0.025  # standard deviation above which a slip shows nothing: of the ratio, or at least
+_WEAK, _WEAK_RATIO = 0.15, 0.023  # standard deviation above which a slip shows nothing: of the ratio, or at least
+_UNIFORM = 1.0 / math.sqrt(12.0)  # standard deviation of a uniform part of 1
 _CONFIRMATION = 0.05  # s between two findings of one slip, at most
 _STEADY = 3.0  # standard deviations of a momentary ratio from the mean, up to which a force counts as steady
 
@@ -189,15 +193,19 @@ class ContactFrictionEstimator:
         for i, ((t1, t2, n), now) in enumerate(zip(f.tolist(), present.tolist(), strict=True)):
             stick_ratio[i] *= self._kept
             s1, s2 = slip.distance[i].tolist() if alarms[i] else (0.0, 0.0)
-            before, slid[i] = slid[i], slid[i] + math.hypot(s1, s2)  # m
+            found = math.hypot(s1, s2)  # m
+            turned, slid[i] = math.hypot(slid[i], _UNIFORM * found), slid[i] + found  # m
             if min(n, now[2]) < settings.least_normal:
                 continue
             ratio = math.hypot(t1, t2) / n
-            noise, deviation = self._deviations(ratio, n, i, forces, before)
-            if abs(math.hypot(now[0], now[1]) / now[2] - ratio) > _STEADY * noise:
+            noise, deviation = self._deviations(ratio, n, i, forces, turned)
+            lag = math.hypot(now[0], now[1]) / now[2] - ratio
+            if abs(lag) > _STEADY * noise:
                 continue  # the ratio changes within the window
+            if alarms[i]:
+                deviation = math.sqrt(deviation**2 + max(lag**2 - noise**2, 0.0))
             is_weak = deviation > max(_WEAK * ratio, _WEAK_RATIO)
-            is_aligned = s1 * t1 + s2 * t2 >= aligned * math.hypot(s1, s2) * math.hypot(t1, t2)
+            is_aligned = s1 * t1 + s2 * t2 >= aligned * found * math.hypot(t1, t2)
             if alarms[i] and all_press and is_aligned and not is_weak and since_slip[i] >= self._independent:
                 is_confirmed = since_found[i] <= self._confirmation and abs(ratio - found_ratio[i]) <= _STEADY * deviation
                 found_ratio[i], since_found[i] = ratio, 0
@@ -223,7 +231,7 @@ class ContactFrictionEstimator:
             n: mean normal force, N.
             i: index of the finger.
             forces: contact forces.
-            slid: earlier slip of the finger, m.
+            slid: standard deviation of the motion of the contact by slip, m.
         """
         model = self.settings.ratio_error**2 + (slid / ARM) ** 2
         if forces.measured is not None:

@@ -106,6 +106,30 @@ def test_a_slip_after_a_long_slip_of_the_same_finger_shows_nothing():
         assert np.isfinite(estimate.upper[0]) == is_used
 
 
+def width_after_a_slip(before, distance):
+    """Return the width of the bounds after a slip at SLIDE; the ratio was another one until two periods before."""
+    estimator, alarms = ContactFrictionEstimator(np.array([0.7, 0.7]), PERIOD), np.array([True, False])
+    _, memory = stuck(estimator, estimator.initial_memory(), before, 20)
+    _, memory = stuck(estimator, memory, SLIDE, 2)
+    estimate, _ = estimator.step(memory, forces(SLIDE), slip(alarms, alarms, distance=distance))
+    return estimate.upper[0] - estimate.lower[0]
+
+
+def test_slip_until_it_is_found_widens_the_bounds():
+    """By the standard deviation of a uniform part of it, over 30 mm."""
+    least, wider = (width_after_a_slip(SLIDE, distance) for distance in (0.0, 3e-3))
+    assert wider**2 - least**2 == pytest.approx((4.0 * 3e-3 / 0.03) ** 2 / 12.0)
+
+
+def test_a_mean_ratio_that_lags_behind_the_present_one_widens_the_bounds():
+    """A part of the window is from before a fall of the ratio by 0.1: more than the noise of 0.02."""
+    other = SLIDE + np.array([[0.0, 0.1, 0.0], [0.0, 0.0, 0.0]])
+    lag = 0.1 * math.exp(-3 * PERIOD / ContactFrictionSettings().window)  # of the mean ratio
+    width, noise = width_after_a_slip(SLIDE, 0.0), NOISE * math.sqrt(1.0 + (0.42 + lag) ** 2)
+    assert lag > noise
+    assert width_after_a_slip(other, 0.0) == pytest.approx(math.sqrt(width**2 + 16.0 * (lag**2 - noise**2)), rel=1e-3)
+
+
 def test_a_force_that_changes_within_the_window_shows_nothing():
     estimator = ContactFrictionEstimator(np.array([0.7, 0.7]), PERIOD)
     _, memory = stuck(estimator, estimator.initial_memory(), 0.5 * SLIDE + [[0, 0, 0.5], [0, 0, 0]], 10)

@@ -5,11 +5,12 @@
 #include <string.h>
 
 enum { STICK_STEPS = 8 };               /* periods between two updates of the lower bounds */
-static const double ARM = 0.03;         /* m: earlier slip turns the normal by its length over this one */
+static const double ARM = 0.03;         /* m: slip turns the normal by its length over this one */
+static const double UNIFORM = 1.0 / 12; /* variance of a uniform part of 1 */
 static const double ALIGNED = 0.7;      /* least cosine of the angle between slip and force */
 static const double PARALLEL = 0.95;    /* the same if another finger is nearly as likely to slip */
 static const double WEAK = 0.15;        /* of a ratio: standard deviation above which a slip shows nothing */
-static const double WEAK_RATIO = 0.025; /* the least such deviation */
+static const double WEAK_RATIO = 0.023; /* the least such deviation */
 static const double STEADY = 3.0;       /* standard deviations up to which a ratio counts as constant */
 static const double CHANGED = 3.0;      /* standard deviations from which a coefficient has changed */
 
@@ -29,13 +30,13 @@ static void gf_copy_bounds(const gf_bound_settings *settings, const gf_bound_sta
 #undef GF_PRODUCT
 }
 
-/* Compute the ratio of contact i with the mean force f, after an earlier slip, m. */
+/* Compute the ratio of contact i with the mean force f, after slip that moved the contact with a variance, m². */
 static gf_force_ratio gf_compute_ratio(const gf_bound_settings *settings, const gf_bound_inputs *inputs, int i, const double *f,
-                                       double slid)
+                                       double slid_variance)
 {
     const int rows = 3 * settings->contact_count;
     const double n = f[2], ratio = hypot(f[0], f[1]) / n, gain = settings->gain[0];
-    const double model = settings->ratio_error[0] * settings->ratio_error[0] + slid / ARM * (slid / ARM);
+    const double model = settings->ratio_error[0] * settings->ratio_error[0] + slid_variance / (ARM * ARM);
     double noise, bias, inertial = 0.0;
     if (inputs->has_tips) {
         noise = settings->variance[0] * (1.0 + ratio * ratio) / (n * n);
@@ -83,10 +84,14 @@ static void gf_update_bound(const gf_bound_settings *settings, const gf_bound_in
                             const double *now, const gf_bound_state *next)
 {
     const double *f = next->f + 3 * i, k = settings->deviations[0], before = next->slid[i];
-    if (inputs->alarms[i]) next->slid[i] += hypot(inputs->distance[2 * i], inputs->distance[2 * i + 1]);
+    const double found = inputs->alarms[i] ? hypot(inputs->distance[2 * i], inputs->distance[2 * i + 1]) : 0.0; /* m */
+    next->slid[i] += found;
     if (!(fmin(f[2], now[2]) >= settings->least_normal[0])) return;
-    const gf_force_ratio force = gf_compute_ratio(settings, inputs, i, f, before);
-    if (fabs(hypot(now[0], now[1]) / now[2] - force.ratio) > STEADY * force.noise) return; /* it changes within the window */
+    gf_force_ratio force = gf_compute_ratio(settings, inputs, i, f, before * before + UNIFORM * found * found);
+    const double lag = hypot(now[0], now[1]) / now[2] - force.ratio;
+    if (fabs(lag) > STEADY * force.noise) return; /* it changes within the window */
+    if (inputs->alarms[i])
+        force.deviation = sqrt(force.deviation * force.deviation + fmax(lag * lag - force.noise * force.noise, 0.0));
     const int shows = inputs->alarms[i] && all_press ? gf_shows_slip(settings, inputs, i, &force, next) : 0;
     if (shows < 0) return; /* the slip may be over */
     if (shows) {

@@ -53,7 +53,7 @@ typedef struct {
  * since_slip             periods since the last slip of each finger that was used
  * found_ratio            ratio of each finger when it was last found slipping
  * since_found            periods since then
- * slid                   slip of each finger that was found before, m
+ * slid                   slip of each finger that was found so far, m
  * lower, upper, expected result: bounds, infinite above for a finger that never slipped, and the likely coefficient */
 #define GF_BOUND_STATE_FIELDS(FIELD)  \
     FIELD(f, contact_count, 3)        \
