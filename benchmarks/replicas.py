@@ -1,14 +1,18 @@
 """Faults of replicas behind a Zenoh router: `python -m benchmarks.replicas`.
 
 Two servers join a router, each over a link that can be cut and slowed. A driver at the router steps one stream. Then the server
-of the stream is killed, frozen and thawed, drained by SIGTERM, or its link is cut, healed and slowed. Servers that ended start
-again, and join the router.
+of the stream is killed, frozen and thawed, drained by SIGTERM, or its link is cut, healed, slowed and made lossy. Servers that
+ended start again, and join the router.
+
+A lossy TCP link delays 10 % of its packets, and all after them, by a retransmission after 20 ms. A lossy UDP link loses 10 % of
+its datagrams: states and commands that are lost are not repeated. Both add 5 to 15 ms each way.
 
 "to notice" is the time from the fault until the watchdog of the driver is active, "to move" until the other replica's commands
 arrive, and "to reach" until the torque has reached them. A dash: the driver's watchdog was never active. A stream whose link is
 slow stays where it is, with late commands. "commands a state" is the largest number of commands that the router saw for one
 state, also of the server that woke. The torque step is the largest change of a joint's torque per period while the watchdog is
-active or the stream resumes, relative to its bound `Watchdog.step`.
+active or the stream resumes, relative to its bound `Watchdog.step`. "late periods" is the share of the driver's periods since
+the fault whose torque is the watchdog's.
 """
 
 from __future__ import annotations
@@ -32,7 +36,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from benchmarks import report_page
-from benchmarks.link_relay import LinkRelay
+from benchmarks.link_relay import DatagramRelay, LinkRelay
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, GraspState
 from graspforce.core.arrays import Array
@@ -52,7 +56,8 @@ PERIOD = 4e-3  # s, of the driver
 TIMEOUT = 30.0  # s
 SETTLE = 1.5  # s, after a fault is over: a server that woke would answer by then
 WATCHDOG = Watchdog(hold=TIMEOUT)
-LOCAL = "tcp/127.0.0.1:0"
+LOCAL, DATAGRAMS = "tcp/127.0.0.1:0", "udp/127.0.0.1:0"
+LOSS, LOSSY_DELAY, LOSSY_JITTER = 0.1, 5e-3, 1e-2  # share, s and s, of a lossy link
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,16 +106,26 @@ class Replica:
 
     Args:
         router: port of the router.
+        kind: kind of the link, "tcp" or "udp".
     """
 
-    def __init__(self, router: int) -> None:
-        self.link = LinkRelay(router)
+    def __init__(self, router: int, kind: str) -> None:
+        self.link = DatagramRelay(router) if kind == "udp" else LinkRelay(router)
+        self._kind = kind
         self.start()
 
     def start(self) -> None:
         """Start the process, and return before it serves."""
         options = ["--hand", HAND, "--listen", LOCAL, "--worker-threads", "--json"]
-        command = [sys.executable, "-m", "graspforce", "serve", *options, "--connect", f"tcp/127.0.0.1:{self.link.port}"]
+        command = [
+            sys.executable,
+            "-m",
+            "graspforce",
+            "serve",
+            *options,
+            "--connect",
+            f"{self._kind}/127.0.0.1:{self.link.port}",
+        ]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
 
     def wait_until_ready(self) -> None:
@@ -136,16 +151,17 @@ class Cell:
 
     Args:
         stack: closes all at the end.
+        kinds: kinds of the links over which the servers join the router.
     """
 
-    def __init__(self, stack: contextlib.ExitStack) -> None:
-        settings: dict[str, object] = {"listen/endpoints": [LOCAL], "adminspace/enabled": True}
+    def __init__(self, stack: contextlib.ExitStack, kinds: tuple[str, str]) -> None:
+        settings: dict[str, object] = {"listen/endpoints": [LOCAL, DATAGRAMS], "adminspace/enabled": True}
         config = build_configuration(ROUTER, {}, settings)
         session = stack.enter_context(zenoh.open(config))
-        self.router = find_addresses(session, config)[0]
+        addresses = {each.partition("/")[0]: each for each in find_addresses(session, config)}
+        self.router = addresses["tcp"]
         self.run = Run()
-        port = int(self.router.rpartition(":")[2])
-        self.replicas = [Replica(port) for _ in range(2)]
+        self.replicas = [Replica(int(addresses[kind].rpartition(":")[2]), kind) for kind in kinds]
         for each in self.replicas:
             stack.callback(each.end)
         for each in self.replicas:
@@ -213,6 +229,7 @@ class Outcome:
         reach: s.
         commands: largest number of commands of a state.
         step: largest torque step, N·m.
+        late: share of the periods since the fault with the watchdog's torque.
     """
 
     fault: str
@@ -221,23 +238,33 @@ class Outcome:
     reach: float
     commands: int
     step: float
+    late: float
 
     @classmethod
     def of(cls, fault: str, run: Run, start: float) -> Outcome:
         """Return the outcome of a run whose fault was at a time."""
         notice = run.since(start, lambda each: each.late)
+        counts = (
+            max(run.commands.values()),
+            run.largest_step,
+            float(np.mean([each.late for each in run.periods if each.time > start])),
+        )
         if math.isnan(notice):  # the stream has moved without an interruption
-            return cls(fault, math.nan, math.nan, math.nan, max(run.commands.values()), run.largest_step)
+            return cls(fault, math.nan, math.nan, math.nan, *counts)
         move = run.since(start + notice, lambda each: not each.late) + notice
         reach = run.since(start + notice, lambda each: not each.late and not each.resuming) + notice
-        return cls(fault, notice, move, reach, max(run.commands.values()), run.largest_step)
+        return cls(fault, notice, move, reach, *counts)
 
 
 @contextlib.contextmanager
-def start_cell() -> Iterator[Cell]:
-    """Start a router, two replicas and a driver."""
+def start_cell(kinds: tuple[str, str] = ("tcp", "tcp")) -> Iterator[Cell]:
+    """Start a router, two replicas and a driver.
+
+    Args:
+        kinds: kinds of the links over which the servers join the router.
+    """
     with contextlib.ExitStack() as stack:
-        yield Cell(stack)
+        yield Cell(stack, kinds)
 
 
 def ball_grasp() -> Grasp:
@@ -294,20 +321,40 @@ def slow(cell: Cell, owner: Replica) -> float:
     return start
 
 
+def lose(cell: Cell, owner: Replica, seconds: float = SETTLE) -> float:
+    """Make the link of the server of the stream lossy for a time, s."""
+    start = time.monotonic()
+    owner.link.loss, owner.link.delay, owner.link.jitter = LOSS, LOSSY_DELAY, LOSSY_JITTER
+    cell.drive(seconds)
+    owner.link.loss = owner.link.delay = owner.link.jitter = 0.0
+    cell.drive(TIMEOUT, lambda each: not each.late and not each.resuming)
+    return start
+
+
 FAULTS: dict[str, Callable[[Cell, Replica], float]] = {
     "killed": kill,
     "frozen and thawed": freeze,
     "drained by SIGTERM": drain,
     "link cut and healed": cut,
     f"link slowed by 60 ms each way for {SETTLE:g} s": slow,
+    f"TCP link with 10 % loss and jitter for {SETTLE:g} s": lose,
+}
+DATAGRAM_FAULTS: dict[str, Callable[[Cell, Replica], float]] = {
+    f"UDP link with 10 % loss and jitter for {SETTLE:g} s": lose,
+    "UDP link cut and healed": cut,
 }
 
 
 def measure() -> list[Outcome]:
-    """Return the outcomes of all faults, in one cell."""
+    """Return the outcomes of all faults, in a cell with TCP links and one with UDP links."""
+    return [*_measure("tcp", FAULTS), *_measure("udp", DATAGRAM_FAULTS)]
+
+
+def _measure(kind: str, faults: dict[str, Callable[[Cell, Replica], float]]) -> list[Outcome]:
+    """Return the outcomes of faults in one cell."""
     outcomes = []
-    with start_cell() as cell:
-        for name, fault in FAULTS.items():
+    with start_cell((kind, kind)) as cell:
+        for name, fault in faults.items():
             owner, _ = cell.find_owner()
             cell.run.periods.clear()
             cell.run.commands.clear()
@@ -326,12 +373,27 @@ def _time(seconds: float) -> str:
 
 def _show(outcomes: list[Outcome], save: Path | None) -> None:
     """Print the table and write the page."""
-    head = ("fault of the stream's server", "to notice s", "to move s", "to reach s", "commands a state", "torque step / bound")
+    head = (
+        "fault of the stream's server",
+        "to notice s",
+        "to move s",
+        "to reach s",
+        "commands a state",
+        "torque step / bound",
+        "late periods",
+    )
     rows = [
-        (o.fault, *map(_time, (o.notice, o.move, o.reach)), f"{o.commands}", f"{o.step / WATCHDOG.step:.3f}") for o in outcomes
+        (
+            o.fault,
+            *map(_time, (o.notice, o.move, o.reach)),
+            f"{o.commands}",
+            f"{o.step / WATCHDOG.step:.3f}",
+            f"{100.0 * o.late:.1f} %",
+        )
+        for o in outcomes
     ]
     title = "Faults of replicas behind a router"
-    report_page.show(title, head, rows)
+    report_page.show(title, head, rows, width=150)
     if save is not None:
         facts = report_page.facts(f"{os.cpu_count()} cores", f"load average {os.getloadavg()[0]:.1f}")
         report_page.save(save, title, __doc__, facts, report_page.table(head, rows, text_columns=1))

@@ -31,8 +31,10 @@ SETTINGS: dict[str, dict[str, object]] = {
     "low-latency transport": {"transport/unicast/lowlatency": True, "transport/unicast/qos/enabled": False},
     "shared memory": {"transport/shared_memory/enabled": True},
     "reliable, blocking": {"block": True},
+    "real-time priority": {"priority": "REAL_TIME"},
+    "no limit of messages": {"transport/link/rx/max_message_size": 2**30},
 }
-PUBLISHER = ("express", "block")  # settings of the publishers, not of the session
+PUBLISHER = ("express", "block", "priority")  # settings of the publishers, not of the session
 BURST, WARM_UP, PERIOD = 200, 20, 1e-3  # round trips, round trips, s
 
 
@@ -46,7 +48,8 @@ def _publisher(name: str, session: zenoh.Session, key: str) -> zenoh.Publisher:
     """Declare a publisher with a setting."""
     own = SETTINGS[name]
     control = zenoh.CongestionControl.BLOCK if own.get("block") else zenoh.CongestionControl.DROP
-    return session.declare_publisher(key, congestion_control=control, express=bool(own.get("express")))
+    priority = getattr(zenoh.Priority, str(own.get("priority", "DATA")))
+    return session.declare_publisher(key, congestion_control=control, express=bool(own.get("express")), priority=priority)
 
 
 def run_echo(name: str) -> None:

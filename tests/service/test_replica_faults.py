@@ -16,17 +16,20 @@ from graspforce.service.wire.stream_authentication import ownership_proof
 
 @pytest.fixture(scope="module")
 def cell():
-    with replicas.start_cell() as running:
+    with replicas.start_cell(("tcp", "udp")) as running:
         yield running
 
 
 @pytest.mark.parametrize("fault", [replicas.freeze, replicas.cut, replicas.kill])
 def test_stream_moves_to_the_other_replica_and_each_state_gets_at_most_one_command(cell, fault):
+    """Each server is first behind a lossy link, one of TCP and one of UDP."""
     owner, other = cell.find_owner()
     assert not other.has_stream()
     cell.run.periods.clear()
     cell.run.commands.clear()
-    cell.drive(0.1)
+    replicas.lose(cell, owner, 0.4)
+    assert owner.link.lost > 0
+    assert owner.has_stream()
     start = fault(cell, owner)
     outcome = replicas.Outcome.of("", cell.run, start)
     assert outcome.notice < outcome.move <= outcome.reach < replicas.TIMEOUT
