@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import os
-import time
 import uuid
 import weakref
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-import zenoh
-from zenoh.handlers import RingChannel
 
 from graspforce.control import ControlSettings
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
-from graspforce.core.errors import InvalidInput, RequestRefused
+from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.estimation.sensor_model import SensorModel
 from graspforce.force.problem import ForceProblem
@@ -34,12 +30,8 @@ from graspforce.service.client.command_stream import CommandStream, OpenSetup, S
 from graspforce.service.client.joint_stream import JointStream
 from graspforce.service.client.open_session import open_session
 from graspforce.service.client.phase_stream import PhaseStream
-from graspforce.service.client.replies import (
-    make_unreadable_error,
-    parse_record,
-    read_replies,
-    report_progress,
-)
+from graspforce.service.client.replies import make_unreadable_error, parse_record
+from graspforce.service.client.requests import Requests
 from graspforce.service.client.server_presence import ServerPresence
 from graspforce.service.client.server_version import check_server
 from graspforce.service.client.stream import Stream
@@ -55,15 +47,11 @@ from graspforce.service.wire.joint_records import JointStreamSetup
 from graspforce.service.wire.kinematics_records import TipPose, read_posture, read_tip_poses
 from graspforce.service.wire.phase_records import PhaseStreamSetup
 from graspforce.service.wire.plan_records import read_answer
-from graspforce.service.wire.protocol import Envelope
 from graspforce.service.wire.regrasp_records import RegraspRequest, read_regrasp
 from graspforce.service.wire.status_records import ServerStatus
-from graspforce.service.zenoh_session import MAX_MESSAGE_BYTES
 
 _CODECS = {"msgpack": protocol.MSGPACK, "json": protocol.JSON}
-_REOPEN_TIMEOUT = 0.5  # s, of an attempt to open a stream again: the lease of a replica
 _PLAN_BUDGET = 10.0  # s, default time for planning
-_PLAN_TRANSFER_TIME = 5.0  # s beyond the budget for the answer, which has some hundred kilobytes
 
 S = TypeVar("S", bound=CommandStream[Any])
 
@@ -110,13 +98,13 @@ class Client:
     ) -> None:
         self._timeout = arrays.check_number(timeout, "timeout", above=0.0)
         self._codec = _CODECS[fields.check_choice(encoding, "encoding", list(_CODECS))]
-        self._sequence = itertools.count(1)
         self._streams: weakref.WeakSet[CommandStream[Any]] = weakref.WeakSet()
         self._capabilities: frozenset[str] = frozenset()  # of the server, when it was asked
         self._name = None if secure is None else name
         tls = {} if secure is None else client_settings(secure, name)
         self._session, addresses = open_session(connect, config, self._timeout, tls)
         self._presence = ServerPresence(self._session, addresses, self._timeout)
+        self._requests = Requests(self._session, self._presence, self._codec, self._timeout)
 
     def __enter__(self) -> Client:
         return self
@@ -250,7 +238,7 @@ class Client:
             watchdog=watchdog or Watchdog(),
             codec=self._codec,
             timeout=self._timeout,
-            query=partial(self._query_stream, f"streams/{id}"),
+            query=partial(self._requests.ask_stream, f"streams/{id}"),
             connect=partial(ZenohConnection, self._session, f"{protocol.PREFIX}/streams/{id}", self._codec),
         )
         stream = kind(id, setup, link)
@@ -279,7 +267,8 @@ class Client:
         if isinstance(move.task, IdealTask):
             raise InvalidInput("move.task", "IdealTask", "a task with a hand; the service knows hands by name")
         record = {**move.to_dict(), "id": id}
-        answer = self._query_job(f"{protocol.hand_key(move.task.hand.name)}/plan", record, budget, callback)
+        key = f"{protocol.hand_key(move.task.hand.name)}/plan"
+        answer = self._requests.ask_job(key, record, budget, partial(self.cancel, id), callback)
         return parse_record(partial(read_answer, move), answer)
 
     def plan_regrasp(
@@ -302,9 +291,10 @@ class Client:
             id: as in `plan`.
         """
         self._require("regrasp_search")
-        record = {**request.to_dict(), "id": self._named_id(id)}
-        key = f"{protocol.hand_key(request.goal.grasp.hand.name)}/regrasp"
-        return parse_record(partial(read_regrasp, request.goal), self._query_job(key, record, budget, callback))
+        id = self._named_id(id)
+        key, record = f"{protocol.hand_key(request.goal.grasp.hand.name)}/regrasp", {**request.to_dict(), "id": id}
+        answer = self._requests.ask_job(key, record, budget, partial(self.cancel, id), callback)
+        return parse_record(partial(read_regrasp, request.goal), answer)
 
     def find_grasp(self, hand: Hand, request: GraspRequest, *, budget: float = _PLAN_BUDGET, id: str | None = None) -> Grasp:
         """Find a grasp of an object, as `graspforce.find_grasp`.
@@ -340,8 +330,9 @@ class Client:
 
     def _query_grasps(self, hand: Hand, request: GraspRequest, budget: float, id: str | None) -> JsonRecord:
         """Return the answer to a request for grasps."""
-        record = {**request.to_dict(), "id": self._named_id(id)}
-        return self._query_job(f"{protocol.hand_key(hand.name)}/grasp", record, budget)
+        id = self._named_id(id)
+        key, record = f"{protocol.hand_key(hand.name)}/grasp", {**request.to_dict(), "id": id}
+        return self._requests.ask_job(key, record, budget, partial(self.cancel, id))
 
     def cancel(self, id: str) -> None:
         """Stop a plan or a search; its answer is the best so far. Does nothing if there is no such plan.
@@ -421,85 +412,4 @@ class Client:
             budget: as in `solve`, s.
             timeout: as in `solve`, s.
         """
-        timeout = self._timeout if timeout is None else arrays.check_number(timeout, "timeout", above=0.0)
-        sequence = next(self._sequence)
-
-        def send(remaining: float) -> Iterable[zenoh.Reply]:
-            envelope = Envelope(sequence, remaining if budget is None else min(budget, remaining), backend)
-            return self._send_query(key, protocol.encode(envelope.wrap(record), self._codec), remaining)
-
-        return self._first_answer(key, send, sequence, timeout)
-
-    def _query_stream(self, key: str, record: JsonRecord) -> JsonRecord:
-        """Open a stream at the nearest server, or close it wherever it is, and return the answer."""
-        sequence = next(self._sequence)
-        # The proofs of a repeated opening: its server may be frozen, and the next attempt reaches another one.
-        is_repeated = "close" not in record and len(record.get("proof", ())) > 1
-        timeout = min(self._timeout, _REOPEN_TIMEOUT) if is_repeated else self._timeout
-        target = zenoh.QueryTarget.ALL if "close" in record else zenoh.QueryTarget.BEST_MATCHING
-
-        def send(remaining: float) -> Iterable[zenoh.Reply]:
-            payload = protocol.encode(Envelope(sequence, remaining).wrap(record), self._codec)
-            return self._send_query(key, payload, remaining, target)
-
-        return self._first_answer(key, send, sequence, timeout)
-
-    def _query_job(self, key: str, record: JsonRecord, budget: float, callback: ProgressCallback | None = None) -> JsonRecord:
-        """Send a request to a planning process and return its answer. The server stops the work if this call ends early."""
-        timeout = arrays.check_number(budget, "budget", above=0.0) + max(self._timeout, _PLAN_TRANSFER_TIME)
-        sequence, id = next(self._sequence), record["id"]
-        job_key = f"{protocol.PREFIX}/plans/{id}"
-        token = self._session.liveliness().declare_token(f"{job_key}/asker")  # the server stops when it disappears
-        try:
-            samples = self._session.declare_subscriber(f"{job_key}/progress", RingChannel(1))
-
-            def send(remaining: float) -> Iterable[zenoh.Reply]:
-                envelope = Envelope(sequence, remaining / timeout * budget)
-                replies = self._send_query(key, protocol.encode(envelope.wrap(record), self._codec), remaining)
-                return report_progress(replies, samples, callback, partial(self.cancel, id))
-
-            try:
-                return self._first_answer(key, send, sequence, timeout)
-            finally:
-                samples.undeclare()
-        finally:
-            token.undeclare()
-
-    def _send_query(
-        self, key: str, payload: bytes, timeout: float, target: zenoh.QueryTarget = zenoh.QueryTarget.BEST_MATCHING
-    ) -> zenoh.Handler[zenoh.Reply]:
-        """Send a query and return the channel of its replies."""
-        if len(payload) > MAX_MESSAGE_BYTES:  # the server's Zenoh would drop it without a reply
-            message = f"the payload has {len(payload)} bytes: at most {MAX_MESSAGE_BYTES} are allowed"
-            raise RequestRefused("too_large", message)
-        return self._session.get(
-            f"{protocol.PREFIX}/{key}",
-            payload=payload,
-            encoding=self._codec,
-            attachment=str(self._session.zid()).encode(),  # the server schedules requests by session
-            timeout=timeout,
-            target=target,
-            consolidation=zenoh.ConsolidationMode.NONE,  # deliver the first answer without waiting for further servers
-        )
-
-    def _first_answer(
-        self, key: str, send: Callable[[float], Iterable[zenoh.Reply]], sequence: int, timeout: float
-    ) -> JsonRecord:
-        """Return the first answer, or raise the exception that explains why there is none.
-
-        Args:
-            key: key of the query after the prefix, for messages.
-            send: function that sends the query with a timeout in s, and returns its replies. It is called again, once, if there
-                are none, or the server is closing: another one may answer.
-            sequence: sequence number of the query.
-            timeout: time for all answers, s.
-        """
-        deadline = time.monotonic() + timeout
-        self._presence.note_request()
-        answer = read_replies(send(timeout), sequence, timeout)
-        if not isinstance(answer, dict) and self._presence.wait_for_replica(deadline):
-            answer = read_replies(send(deadline - time.monotonic()), sequence, timeout) or answer
-        if not isinstance(answer, dict):
-            raise answer or self._presence.explain_missing_answer(key)
-        self._presence.note_answer()
-        return answer
+        return self._requests.ask(key, record, backend, budget, timeout)
