@@ -8,7 +8,6 @@ import math
 import signal
 import subprocess
 import sys
-import threading
 import time
 from functools import partial
 
@@ -18,6 +17,7 @@ from support.control_requests import GRASP, desired, state
 from support.plan_requests import slow_move
 from support.servers import TIMEOUT, get, plain_session, suspend, wait_until
 from support.service_requests import pinch
+from zenoh.handlers import Callback
 
 from graspforce.service import Client
 from graspforce.service.client.watchdog import Watchdog
@@ -132,26 +132,37 @@ def test_client_that_does_not_read_does_not_prevent_the_end():
 
 def test_stream_is_told_and_goes_on_at_another_server():
     """The first server closes; the stream opens at the second one, and no torque step exceeds the watchdog's."""
-    dog, period = Watchdog(), 0.002
+    dog, period = Watchdog(hold=TIMEOUT), 0.002
     with contextlib.ExitStack() as stack:
         child, address = stack.enter_context(serve_command())
         _, other = stack.enter_context(serve_command())
         client = stack.enter_context(Client([address, other], timeout=TIMEOUT))
         stream = stack.enter_context(client.open_stream(GRASP, validity=0.1, watchdog=dog))
-        taus, closing_sequence = [stream.step(state(0), desired()).tau], math.inf
-        threading.Timer(0.1, child.send_signal, [signal.SIGTERM]).start()
+        session, messages = stack.enter_context(plain_session(address)), []
+        session.declare_subscriber(f"graspforce/1/streams/{stream.id}/command", Callback(messages.append, indirect=False))
+        taus, first_after_end = [stream.step(state(0), desired()).tau], math.inf
 
-        def resumed():
-            nonlocal closing_sequence
+        def steps():
+            """Step the stream, and return the number of the state and the newest command."""
             sequence = stream.publish(state(0), desired())
             time.sleep(period)
             command = stream.latest()
             taus.append(command.tau)
-            if getattr(stream.last_error, "code", "") == "closing":
-                closing_sequence = min(closing_sequence, sequence)
-            return command.sequence > closing_sequence and not command.resuming
+            return sequence, command
+
+        wait_until(lambda: steps() and messages)  # the subscriber is known to the server
+        child.send_signal(signal.SIGTERM)
+
+        def resumed():
+            nonlocal first_after_end
+            sequence, command = steps()
+            if child.poll() is not None:
+                first_after_end = min(first_after_end, sequence)
+            return command.sequence >= first_after_end and not command.resuming and not command.late
 
         wait_until(resumed)
+        last = messages[-1]  # of the first server
+        assert json.loads(last.payload.to_bytes())["error"] == "closing"
         assert client.status().streams == 1  # at the other server
         assert np.abs(np.diff(taus, axis=0)).max() <= dog.step + 1e-9
 
