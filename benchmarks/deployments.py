@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import tempfile
 import time
 from pathlib import Path
@@ -94,11 +93,7 @@ def main() -> None:
     for name, own in times.items():
         figures = np.quantile(own, [0.5, 0.9, 0.99, 1.0])
         rows.append((name, *(f"{1e6 * each:.0f}" for each in figures), f"{figures[0] / direct:.2f}"))
-    title = "Reference configurations"
-    report_page.show(title, head, rows)
-    if options.save is not None:
-        facts = report_page.facts(f"{os.cpu_count()} cores", f"load average {os.getloadavg()[0]:.1f}")
-        report_page.save(options.save, title, __doc__, facts, report_page.table(head, rows, text_columns=1))
+    report_page.publish("Reference configurations", __doc__, head, rows, options.save)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ and planning processes, which start with the server.
 from __future__ import annotations
 
 import contextlib
-import os
 import threading
 import time
 from dataclasses import dataclass, field
@@ -120,11 +119,7 @@ def _show(rows: list[tuple[str, ...]], save: Path | None) -> None:
     polite = ("answered", "usual ms", "median ms", "99 % ms")
     memory = ("memory before, MiB", "largest growth", "growth after")
     head = ("flood", "answers", "99 % of `overloaded` ms", *polite, "recovery s", *memory)
-    title = "Floods of requests beside a polite client"
-    report_page.show(title, head, rows, width=200)
-    if save is not None:
-        facts = report_page.facts(f"{os.cpu_count()} cores", f"load average {os.getloadavg()[0]:.1f}")
-        report_page.save(save, title, __doc__, facts, report_page.table(head, rows, text_columns=2))
+    report_page.publish("Floods of requests beside a polite client", __doc__, head, rows, save, text_columns=2, width=200)
 
 
 def main() -> None:

@@ -3,7 +3,8 @@
 The requests of ``docs/wire.md`` are mutated: fields removed, added and replaced, lists repeated, numbers scaled, bytes changed.
 Some keys are unknown, or ask for schemas, and some plans are cancelled.
 Each goes to the request handler, a stream or the planning code, in JSON or MessagePack. The law: each payload gets one reply,
-which can be decoded, and no error record has the code ``internal``.
+which can be decoded, and no error record has the code ``internal``. Requests are sent in pieces of 10,000, each with a seed of
+its own. A run continues the file of finished pieces.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import copy
 import json
 import logging
+import math
 import queue
 import random
 import re
@@ -23,6 +25,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from benchmarks import report_page
+from benchmarks.task_records import Record, Task, run_tasks
 from graspforce.hand.hand import Hand
 from graspforce.service import RequestHandler, ServerLimits
 from graspforce.service.server.plan_registry import PlanRegistry
@@ -35,6 +38,8 @@ from graspforce.service.workers.planning_worker import PlanningWorker
 
 HAND = "four_finger"
 WIRE_PAGE = Path(__file__).parent.parent / "docs" / "wire.md"
+RECORDS = Path(__file__).parent / "results" / "records" / "fuzz_service.jsonl"
+PIECE = 10_000  # requests
 CODECS = (protocol.JSON, protocol.MSGPACK)
 _EXAMPLE = re.compile(r"<!-- (query|state) (\S+) -->\n```json\n(.*?)```", re.DOTALL)
 _REPLY_TIMEOUT = 120.0  # s
@@ -312,19 +317,47 @@ def _encode(record: Any, codec: str) -> bytes:
     return msgspec.msgpack.encode(record)
 
 
+@cache
+def _own_target() -> FuzzTarget:
+    """Return the service of this process."""
+    return FuzzTarget()
+
+
+def run_piece(task: Task) -> Record:
+    """Return the replies to a piece of the requests, and the texts of those that break the law.
+
+    Args:
+        task: seed of its random numbers, and number of requests.
+    """
+    logging.disable(logging.CRITICAL)
+    seed, count = task
+    outcomes, failures = fuzz(_own_target(), seed, count)
+    shown = [f"{request.key} ({request.codec}): {text[:300]}; {request.payload[:2000]!r}" for request, text in failures]
+    return {"outcomes": outcomes, "failures": shown}
+
+
 def main() -> None:
     """Send the requests, print the table of replies, and end with 1 if a request broke the law."""
-    options = report_page.parser("fuzz_service", __doc__)
-    options.add_argument("--count", type=int, default=1_000_000, help="number of requests")
-    options.add_argument("--seed", type=int, default=1)
-    arguments = options.parse_args()
-    logging.disable(logging.CRITICAL)
-    outcomes, failures = fuzz(FuzzTarget(), arguments.seed, arguments.count)
+    parser = report_page.parser("fuzz_service", __doc__)
+    parser.add_argument("--count", type=int, default=1_000_000, help="number of requests")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the first piece")
+    parser.add_argument("--records", type=Path, default=RECORDS, help="file of the finished pieces, which is continued")
+    parser.add_argument("--workers", type=int, default=1, help="processes")
+    parser.add_argument("--budget", type=float, default=math.inf, help="time after which no further piece is started, s")
+    options = parser.parse_args()
+    pieces = [(options.seed + k, PIECE) for k in range(-(-options.count // PIECE))]
+    results = run_tasks(run_piece, pieces, options.records, options.workers, options.budget).values()
+    outcomes: dict[str, Counter[str]] = {}
+    for result in results:
+        for key, counts in result["outcomes"].items():
+            outcomes.setdefault(key, Counter()).update(counts)
     codes = sorted({code for row in outcomes.values() for code in row})
     rows = [[key, *(str(row[code]) for code in codes)] for key, row in sorted(outcomes.items())]
-    print(report_page.table(["key", *codes], rows))
-    for request, text in failures[:_MAX_SHOWN]:
-        print(f"{request.key} ({request.codec}): {text[:300]}\n  {request.payload[:2000]!r}")
+    failures = [text for result in results for text in result["failures"]]
+    sent = sum(sum(row.values()) for row in outcomes.values())
+    counts = f"{sent} requests of {options.count}, {len(failures)} against the law"
+    print(counts, *failures[:_MAX_SHOWN], sep="\n")
+    report_page.publish("Fuzzed requests", __doc__, ("key", *codes), rows, options.save, counts, width=140)
     raise SystemExit(1 if failures else 0)
 
 

@@ -392,11 +392,7 @@ def _show(outcomes: list[Outcome], save: Path | None) -> None:
         )
         for o in outcomes
     ]
-    title = "Faults of replicas behind a router"
-    report_page.show(title, head, rows, width=150)
-    if save is not None:
-        facts = report_page.facts(f"{os.cpu_count()} cores", f"load average {os.getloadavg()[0]:.1f}")
-        report_page.save(save, title, __doc__, facts, report_page.table(head, rows, text_columns=1))
+    report_page.publish("Faults of replicas behind a router", __doc__, head, rows, save, width=150)
 
 
 def main() -> None:

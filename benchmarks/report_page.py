@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import platform
 import sys
 from collections.abc import Iterable, Sequence
@@ -85,3 +86,31 @@ def show(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], width: 
     for row in rows:
         shown.add_row(*row)
     Console(width=width).print(shown)
+
+
+def publish(
+    title: str,
+    doc: str | None,
+    head: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    path: Path | None,
+    *counts: str,
+    text_columns: int = 1,
+    width: int | None = None,
+) -> None:
+    """Print a table, and write its page with the number of cores and the load of the machine if there is a file.
+
+    Args:
+        title: title of the table and the page.
+        doc: docstring of the module, as in `save`.
+        head: headings.
+        rows: cells of each row.
+        path: the file; None for none.
+        counts: further facts, such as the number of measurements.
+        text_columns: number of leading columns aligned to the left on the page.
+        width: width of the terminal in characters; detected by default.
+    """
+    show(title, head, rows, width)
+    if path is not None:
+        machine = f"{os.cpu_count()} cores", *counts, f"load average {os.getloadavg()[0]:.1f}"
+        save(path, title, doc, facts(*machine), table(head, rows, text_columns))

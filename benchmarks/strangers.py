@@ -350,11 +350,7 @@ def _show(rows: list[Row], save: Path | None) -> None:
     """Print the table and write the page."""
     head = ("attack", "mode", "tries", "effects", "counted", "sign of an effect")
     cells = [(row.attack, row.mode, str(row.tries), str(row.effects), str(row.counted), row.sign) for row in rows]
-    title = "Strangers at a server"
-    report_page.show(title, head, cells)
-    if save is not None:
-        facts = report_page.facts(f"{os.cpu_count()} cores", f"load average {os.getloadavg()[0]:.1f}")
-        report_page.save(save, title, __doc__, facts, report_page.table(head, cells, text_columns=2))
+    report_page.publish("Strangers at a server", __doc__, head, cells, save, text_columns=2)
 
 
 def main() -> None:

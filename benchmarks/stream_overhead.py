@@ -11,7 +11,6 @@ motions and an external wrench.
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -150,12 +149,8 @@ def measure(subject: Subject, rounds: int) -> tuple[str, ...]:
 
 def _show(rows: list[tuple[str, ...]], rounds: int, save: Path | None) -> None:
     """Print the table and write the page."""
-    title = "Server time of a control stream without Zenoh"
-    report_page.show(title, HEAD, rows, width=140)
-    if save is not None:
-        counts = f"{rounds * (BURST - WARM_UP)} states per figure, load average {os.getloadavg()[0]:.1f}"
-        facts = report_page.facts(f"{os.cpu_count()} cores", counts)
-        report_page.save(save, title, __doc__, facts, report_page.table(HEAD, rows))
+    counts = f"{rounds * (BURST - WARM_UP)} states per figure"
+    report_page.publish("Server time of a control stream without Zenoh", __doc__, HEAD, rows, save, counts, width=140)
 
 
 def main() -> None:

@@ -84,11 +84,7 @@ def _ask_without_reading(address: str) -> None:
 def _show(rows: Sequence[tuple[str, ...]], save: Path | None) -> None:
     """Print the table and write the page."""
     head = ("configuration file of the server", "polite requests", "median ms", "99 % ms", "longest s", "bound s")
-    title = "A client that does not read its replies"
-    report_page.show(title, head, rows)
-    if save is not None:
-        facts = report_page.facts(f"{os.cpu_count()} cores", f"load average {os.getloadavg()[0]:.1f}")
-        report_page.save(save, title, __doc__, facts, report_page.table(head, rows, text_columns=1))
+    report_page.publish("A client that does not read its replies", __doc__, head, rows, save)
 
 
 def main() -> None:

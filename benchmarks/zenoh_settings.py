@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import os
 import sys
 import threading
 import time
@@ -107,11 +106,8 @@ def _show(trips: dict[str, list[float]], save: Path | None) -> None:
         for name, own in trips.items()
     ]
     title = "Round trips over Zenoh with different settings"
-    report_page.show(title, head, rows)
-    if save is not None:
-        counts = f"{len(trips['graspforce'])} round trips per row, load average {os.getloadavg()[0]:.1f}"
-        facts = report_page.facts(f"Zenoh {zenoh.__version__}", f"{os.cpu_count()} cores", counts)
-        report_page.save(save, title, __doc__, facts, report_page.table(head, rows))
+    counts = f"Zenoh {zenoh.__version__}", f"{len(trips['graspforce'])} round trips per row"
+    report_page.publish(title, __doc__, head, rows, save, *counts)
 
 
 def main() -> None:
