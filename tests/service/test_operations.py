@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import socket
 import threading
-import time
 import urllib.error
 import urllib.request
+from types import SimpleNamespace
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
@@ -16,6 +16,7 @@ from support.service_requests import pinch
 
 from graspforce.core.errors import ErrorReply, InvalidInput, ServiceError
 from graspforce.service import Client, Server, ServerLimits
+from graspforce.service.server import service_manager
 from graspforce.service.server.monitoring import MonitoringServer
 from graspforce.service.server.service_manager import ServiceManager
 from graspforce.service.wire.latency_histogram import BOUNDS, LatencyHistogram
@@ -113,6 +114,8 @@ def test_service_manager_hears_ready_alive_and_stopping(monkeypatch, tmp_path):
         listener.settimeout(TIMEOUT)
         monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
         monkeypatch.setenv("WATCHDOG_USEC", "100000")
+        clock = [100.0]  # s
+        monkeypatch.setattr(service_manager, "time", SimpleNamespace(monotonic=lambda: clock[0]))
         manager = ServiceManager()
         manager.ready("serving")
         assert listener.recv(256) == b"READY=1\nSTATUS=serving"
@@ -120,7 +123,9 @@ def test_service_manager_hears_ready_alive_and_stopping(monkeypatch, tmp_path):
         manager.alive()
         assert listener.recv(256) == b"WATCHDOG=1"
         assert not manager.is_alive_due()
-        time.sleep(0.04)  # 0.3 of the watchdog's time is 0.03 s
+        clock[0] += 0.029  # s; 0.3 of the watchdog's time is 0.03 s
+        assert not manager.is_alive_due()
+        clock[0] += 0.002
         assert manager.is_alive_due()
         manager.stopping()
         assert listener.recv(256) == b"STOPPING=1"

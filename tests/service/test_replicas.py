@@ -41,11 +41,24 @@ def test_server_that_ends_before_its_answer_is_lost():
     with server_process() as (child, address), Client(address, timeout=TIMEOUT) as client:
         assert client.solve(pinch()).found
         suspend(child)
-        threading.Timer(0.2, child.kill).start()
+        kill_after_request(client, child)
         with pytest.raises(ServerLost, match="before it answered"):
             client.solve(pinch())
         time.sleep(0.2)  # a query that Zenoh sends into a connection that breaks ends at its timeout only
         wait_until(lambda: error_of(client) is NoServer)  # when Zenoh has closed the connection
+
+
+def kill_after_request(client, child):
+    """Kill a server 0.2 s after the client's next request has been sent."""
+    send = client._requests._send_query
+
+    def send_and_kill(*arguments):
+        replies = send(*arguments)
+        client._requests._send_query = send
+        threading.Timer(0.2, child.kill).start()
+        return replies
+
+    client._requests._send_query = send_and_kill
 
 
 def error_of(client):
@@ -64,7 +77,7 @@ def test_request_goes_to_another_replica_when_the_first_dies():
         first = client.status().server
         assert first != second.id
         suspend(child)
-        threading.Timer(0.2, child.kill).start()
+        kill_after_request(client, child)
         assert client.solve(pinch()).found
         assert client.status().server == second.id
 

@@ -112,9 +112,15 @@ def test_late_command_is_not_used(open_stream, server):
 
 
 def test_command_prints_its_phase_and_contacts(open_stream, server):
-    stream = open_stream()
-    lines = str(stream.step(state(), desired())).splitlines()
-    assert lines[0].startswith(f"command 1 for {HAND.name}: in time, age ")
+    stream, commands = open_stream(), []
+
+    def is_in_time():
+        commands.append(stream.step(state(), desired()))
+        return not commands[-1].late and not commands[-1].resuming
+
+    wait_until(is_in_time)
+    lines = str(commands[-1]).splitlines()
+    assert lines[0].startswith(f"command {commands[-1].sequence} for {HAND.name}: in time, age ")
     assert [line.split()[0] for line in lines[2:6]] == list(GRASP.fingers)
     server.away = True
     time.sleep(1.5 * VALIDITY)
