@@ -6,6 +6,7 @@ import numpy as np
 
 from graspforce.contact.contact import ContactSet
 from graspforce.core import arrays
+from graspforce.core.errors import RequestRefused
 from graspforce.force.problem import ForceProblem
 from graspforce.grasp.hand_contacts import check_contact_links
 from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
@@ -41,3 +42,20 @@ def count_matrix_entries(problem: ForceProblem) -> int:
     joints = 0 if problem.actuation is None else problem.actuation.J.shape[1]
     cone_rows = problem.size if problem.cone.type == "exact" else len(problem.contacts) * (problem.cone.facets + 1)
     return problem.size * (6 + cone_rows + 2 * len(problem.contacts) + 2 * joints)
+
+
+def check_matrix_entries(problem: ForceProblem, most: int) -> int:
+    """Return the entries of a problem's constraint matrix.
+
+    Args:
+        problem: the problem.
+        most: largest allowed number.
+
+    Raises:
+        RequestRefused: there are more.
+    """
+    entries = count_matrix_entries(problem)
+    if entries > most:
+        limit = f"at most {most} are allowed; use fewer contacts, joints or facets"
+        raise RequestRefused("too_large", f"the problem's constraint matrix has {entries} entries: {limit}")
+    return entries

@@ -49,3 +49,18 @@ def check_empty_request(record: object) -> None:
         InvalidInput: it has other fields than those of the envelope.
     """
     fields.check_record(record, "", optional=["sequence", "budget"])
+
+
+def check_contact_count(record: object, most: int) -> None:
+    """Refuse too many contacts before any of them is read.
+
+    Args:
+        record: the record that has the contacts; anything else is left to the reader.
+        most: largest number of contacts.
+
+    Raises:
+        RequestRefused: there are more.
+    """
+    contacts = record.get("contacts") if isinstance(record, dict) else None
+    if isinstance(contacts, list) and len(contacts) > most:
+        raise RequestRefused("too_large", f"there are {len(contacts)} contacts: at most {most} are allowed")

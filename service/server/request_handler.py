@@ -24,10 +24,10 @@ from graspforce.core.printable import escape_controls
 from graspforce.force.problem import ForceProblem
 from graspforce.force.solver import solve
 from graspforce.hand.hand import Hand
-from graspforce.service.server.force_requests import count_matrix_entries, make_force_problem
+from graspforce.service.server.force_requests import check_matrix_entries, make_force_problem
 from graspforce.service.server.limits import ServerLimits
 from graspforce.service.server.plan_registry import PlanRegistry
-from graspforce.service.server.request_checks import check_deadline, check_empty_request, reject_backend
+from graspforce.service.server.request_checks import check_contact_count, check_deadline, check_empty_request, reject_backend
 from graspforce.service.server.request_statistics import RequestStatistics
 from graspforce.service.server.server_load import ServerLoad, client_label, resident_bytes
 from graspforce.service.server.server_stream import ServerStream, answer_control_request
@@ -291,7 +291,7 @@ class RequestHandler:
 
     def _solve(self, record: Any, options: _RequestOptions) -> JsonRecord:
         """Answer ``solve``."""
-        self._check_contact_count(record)
+        check_contact_count(record, self._limits.contacts)
         return self._solve_problem(ForceProblem.from_dict(record), options)
 
     def _quality(self, record: Any, options: _RequestOptions) -> JsonRecord:
@@ -308,25 +308,25 @@ class RequestHandler:
 
     def _problem_and_direction(self, record: Any) -> tuple[ForceProblem, Any]:
         """Return the force problem of a request, and its optional direction."""
-        self._check_contact_count(record)
+        check_contact_count(record, self._limits.contacts)
         direction = None
         if isinstance(record, dict):
             record = dict(record)
             direction = record.pop("direction", None)
         problem = ForceProblem.from_dict(record)
-        self._check_matrix_entries(problem)
+        check_matrix_entries(problem, self._limits.matrix_entries)
         return problem, direction
 
     def _distribute(self, hand: Hand, record: object, options: _RequestOptions) -> JsonRecord:
         """Answer ``hands/<hand>/distribute``."""
-        self._check_contact_count(record)
+        check_contact_count(record, self._limits.contacts)
         solution = self._solve_problem(make_force_problem(hand, DistributeRequest.from_dict(record)), options)
         return {**solution, "joints": list(hand.joint_names)}
 
     def _control(self, hand: Hand, record: object, options: _RequestOptions) -> JsonRecord:
         """Answer ``hands/<hand>/control``."""
         reject_backend(options.backend)
-        self._check_contact_count(record.get("hold") if isinstance(record, dict) else None)
+        check_contact_count(record.get("hold") if isinstance(record, dict) else None, self._limits.contacts)
         return answer_control_request(ControlRequest.from_dict(hand, record))
 
     def _stream(self, id: str, record: object, options: _RequestOptions) -> JsonRecord:
@@ -334,7 +334,7 @@ class RequestHandler:
         reject_backend(options.backend)
         given = record if isinstance(record, dict) else {}
         plan = given.get("plan")
-        self._check_contact_count(plan.get("hold") if isinstance(plan, dict) else given.get("hold"))
+        check_contact_count(plan.get("hold") if isinstance(plan, dict) else given.get("hold"), self._limits.contacts)
         return self.streams.answer(id, record, options.client)
 
     def _describe(self, hand: Hand, record: object, options: _RequestOptions) -> JsonRecord:
@@ -388,26 +388,11 @@ class RequestHandler:
 
     def _solve_problem(self, problem: ForceProblem, options: _RequestOptions) -> JsonRecord:
         """Return the record of a force problem's solution."""
-        is_small = self._check_matrix_entries(problem) <= _MAX_ENTRIES_TO_EXPLAIN
+        is_small = check_matrix_entries(problem, self._limits.matrix_entries) <= _MAX_ENTRIES_TO_EXPLAIN
         explain_seconds = self._answer_seconds(options) if is_small else 0.0
         return solve(problem, options.backend, explain_seconds=explain_seconds).to_dict()
-
-    def _check_matrix_entries(self, problem: ForceProblem) -> int:
-        """Return the entries of a problem's constraint matrix; refuse too many."""
-        matrix_entries = count_matrix_entries(problem)
-        if matrix_entries > self._limits.matrix_entries:
-            limit = f"at most {self._limits.matrix_entries} are allowed; use fewer contacts, joints or facets"
-            raise RequestRefused("too_large", f"the problem's constraint matrix has {matrix_entries} entries: {limit}")
-        return matrix_entries
 
     def _answer_seconds(self, options: _RequestOptions) -> float:
         """Return the time for numbers beyond the solution, s."""
         remaining = options.deadline - _SEND_TIME - time.perf_counter()  # s
         return min(max(remaining, 0.0), _MAX_EXPLANATION_TIME)
-
-    def _check_contact_count(self, record: object) -> None:
-        """Refuse too many contacts before any of them is read."""
-        contacts = record.get("contacts") if isinstance(record, dict) else None
-        if isinstance(contacts, list) and len(contacts) > self._limits.contacts:
-            message = f"there are {len(contacts)} contacts: at most {self._limits.contacts} are allowed"
-            raise RequestRefused("too_large", message)

@@ -27,8 +27,6 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Any
 
 import zenoh
 from zenoh.handlers import Callback
@@ -40,6 +38,7 @@ from graspforce.service.server.configuration import REPLICA_LEASE, check_endpoin
 from graspforce.service.server.deadline import Deadline
 from graspforce.service.server.limits import ServerLimits
 from graspforce.service.server.process_lease import ProcessLease
+from graspforce.service.server.query_intake import QueryIntake
 from graspforce.service.server.query_messages import matching_keys, read_query, send_reply
 from graspforce.service.server.request_handler import MAX_PARSED_BYTES, RequestHandler
 from graspforce.service.server.request_worker import RequestWorkers
@@ -47,23 +46,19 @@ from graspforce.service.server.server_load import ServerLoad
 from graspforce.service.server.server_stream import ServerStream
 from graspforce.service.server.stream_channel import StreamChannel
 from graspforce.service.server.work_queues import (
-    QUERY_BYTES,
     CancelRequest,
     CostClass,
     QueuedQuery,
     QueueOptions,
     WorkQueues,
-    cost_class,
 )
 from graspforce.service.wire import protocol
 from graspforce.service.wire.reply import Reply
-from graspforce.service.wire.schemas.catalogue import SCHEMA
 from graspforce.service.wire.status_records import ServerStatus
 from graspforce.service.zenoh_session import describe_zenoh_error, find_addresses
 
 log = logging.getLogger("graspforce.service")
 
-_STREAM_KEYS = ("streams/*", "streams/*/*")
 _MAX_CANCEL_TRIES = 256  # of a cancellation that may be ahead of its plan
 _IDLE_CHECK_FRACTION = 0.25  # period of the check for idle streams as a fraction of the idle timeout
 _GRACE = 5.0  # s, to answer the waiting requests at the end
@@ -172,7 +167,8 @@ class Server:
             self._workers = self._queue_options.start_workers(self._hands, self._limits)
         self._lease.start()
         self._queues = WorkQueues(self._queue_options, self._answer, self._handle_plan, self._refuse_overload)
-        self._declared = self._declare_keys(session)
+        self._intake = QueryIntake(self._queues, self._sessions, self._limits, (*self._handler.keys, *self._handler.plan_keys))
+        self._declared = self._intake.declare(session)
         self._closing.clear()
         listener = Callback(self._receive_transport, indirect=False)
         self._declared.append(session.info.declare_transport_events_listener(listener, history=True))
@@ -256,74 +252,7 @@ class Server:
         for workers in self._workers.values():
             workers.serve(tuple(self._hands))
 
-    def _declare_keys(self, session: zenoh.Session) -> list[Any]:
-        """Declare queryables and subscribers, and return them."""
-
-        def declare(key: str, on_query: Callable[[zenoh.Query], None], complete: bool = True) -> zenoh.Queryable[None]:
-            # Of several servers with a complete queryable for a key, Zenoh asks one. Incomplete ones are a fallback.
-            callback = Callback(on_query, indirect=False)
-            return session.declare_queryable(f"{protocol.PREFIX}/{key}", callback, complete=complete)
-
-        declared: list[Any] = []
-        self._known_names = frozenset((*self._handler.keys, *self._handler.plan_keys))
-        known = (*self._known_names, f"{SCHEMA}/**", *_STREAM_KEYS)
-        self._known_keys = [zenoh.KeyExpr(f"{protocol.PREFIX}/{key}") for key in known]
-        for key in (*self._handler.keys, *self._handler.plan_keys):
-            declared.append(declare(key, partial(self._receive, key)))
-        unknown = Callback(self._receive_unknown, indirect=False)
-        declared.append(session.declare_queryable(f"{protocol.NAMESPACE}/**", unknown, complete=False))
-        declared += [declare(key, self._receive_stream_request) for key in _STREAM_KEYS]
-        declared.append(declare(f"{SCHEMA}/**", self._receive_schema_query))
-        cancel = Callback(self._receive_cancel, indirect=False)
-        declared.append(session.declare_subscriber(f"{protocol.PREFIX}/plans/**/cancel", cancel))
-        liveliness = Callback(self._receive_asker_liveliness, indirect=False)
-        declared.append(session.liveliness().declare_subscriber(f"{protocol.PREFIX}/plans/**/asker", liveliness))
-        return declared
-
     # ── on Zenoh's receiving thread ──────────────────────────────────────────────────────────────────────────────────────
-
-    def _receive(self, key: str, query: zenoh.Query, cost: CostClass | None = None) -> None:
-        """Put a query into the queue of its class, by default that of its key and size, or into the refusal queue."""
-        attachment, size = query.attachment, len(query.payload or b"")
-        client = self._sessions.identify(b"" if attachment is None else attachment.to_bytes())
-        cost = cost or cost_class(key, size)
-        item = QueuedQuery(key, query, time.perf_counter(), client, cost, QUERY_BYTES + size)
-        if size > self._limits.payload:
-            self._queues.refuse(item)
-        else:
-            self._queues.offer(item)
-
-    def _receive_unknown(self, query: zenoh.Query) -> None:
-        """Put a query that no other queryable answers into the status queue: an unknown key, hand or version."""
-        asked, known = query.key_expr, self._known_keys
-        key = str(asked).removeprefix(f"{protocol.PREFIX}/")
-        is_own = key.startswith(("streams/", SCHEMA)) and any(each.intersects(asked) for each in known[-3:])
-        if key in self._known_names or is_own:
-            return
-        if "*" not in key or not any(each.intersects(asked) for each in known):
-            self._receive(key, query, CostClass.STATUS)
-
-    def _receive_stream_request(self, query: zenoh.Query) -> None:
-        """Put a query that opens or closes a stream into its queue."""
-        key = str(query.key_expr).removeprefix(f"{protocol.PREFIX}/")
-        if "*" not in key:
-            self._receive(key, query)
-
-    def _receive_schema_query(self, query: zenoh.Query) -> None:
-        """Put a query for schemas into the status queue."""
-        key = str(query.key_expr).removeprefix(f"{protocol.PREFIX}/")
-        if key.startswith(SCHEMA):
-            self._receive(key, query)
-
-    def _receive_cancel(self, sample: zenoh.Sample) -> None:
-        """Put the cancellation of a plan into the plan queue."""
-        id = str(sample.key_expr).removeprefix(f"{protocol.PREFIX}/plans/").rpartition("/")[0]
-        self._queues.plans.offer(CancelRequest(id))
-
-    def _receive_asker_liveliness(self, sample: zenoh.Sample) -> None:
-        """Cancel the plan of a client that has disconnected."""
-        if sample.kind == zenoh.SampleKind.DELETE:
-            self._receive_cancel(sample)
 
     def _receive_transport(self, event: zenoh.TransportEvent) -> None:
         """Follow the sessions that are connected."""

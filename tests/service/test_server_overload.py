@@ -155,7 +155,7 @@ def test_receiving_thread_only_enqueues(monkeypatch):
         assert gate.entered.acquire(timeout=TIMEOUT)
         queries = [QueryWithoutContent() for _ in range(5)]
         for query in queries:
-            server._receive("solve", query)
+            server._intake.receive("solve", query)
         assert [item.query for item in server._queues[CostClass.SMALL].take_all()] == queries[:2]
         assert [refused.get(timeout=TIMEOUT).query for _ in queries[2:]] == queries[2:]
         gate.open.set()
