@@ -5,9 +5,9 @@ process sends as many requests as it can, and has up to 2000 requests without an
 which states the polite client's usual latency.
 
 "answered" is the share of the polite client's requests that are solved in time during the flood. "recovery" is the time from
-the end of the flood until the median of five consecutive polite requests is no more above the largest such median of the quiet
-time: a single slow request, which a shared machine has at any time, does not count. Memory is that of the server and its worker
-and planning processes, which start with the server.
+the end of the flood until the first of five consecutive polite requests that each take at most the 99 % quantile of the quiet
+time: later slow requests, which a shared machine has at any time, do not count. Memory is that of the server and its worker and
+planning processes, which start with the server.
 """
 
 from __future__ import annotations
@@ -73,9 +73,19 @@ def ask(client: Client, server: ServerUnderTest, seconds: float, is_ended: threa
     return polite
 
 
-def medians(seconds: list[float]) -> list[float]:
-    """Return the medians of consecutive requests, s."""
-    return [float(np.median(seconds[i : i + _WINDOW])) for i in range(len(seconds) - _WINDOW + 1)]
+def recovery(polite: Polite, end: float, longest: float) -> float:
+    """Return the time until the first of `_WINDOW` consecutive requests that take at most a time, s; NaN if there are none.
+
+    Args:
+        polite: requests after a flood.
+        end: end of the flood, on the clock `time.perf_counter`, s.
+        longest: largest time of such a request, s.
+    """
+    is_usual = [seconds <= longest for seconds in polite.seconds]
+    for i in range(len(is_usual) - _WINDOW + 1):
+        if all(is_usual[i : i + _WINDOW]):
+            return max(polite.begun[i] - end, 0.0)
+    return float("nan")
 
 
 def measure(name: str, seconds: float) -> tuple[str, ...]:
@@ -94,9 +104,6 @@ def measure(name: str, seconds: float) -> tuple[str, ...]:
             threading.Thread(target=stop).start()
             after = ask(client, server, seconds, stopped)
     usual = float(np.median(quiet.seconds))
-    longest = max(medians(quiet.seconds))
-    ends = [begun + took - end for begun, took in zip(after.begun, after.seconds, strict=True)][_WINDOW - 1 :]
-    slow = [moment for moment, median in zip(ends, medians(after.seconds), strict=True) if median > longest]
     before = quiet.memory[-1]
     [result] = results
     return (
@@ -107,7 +114,7 @@ def measure(name: str, seconds: float) -> tuple[str, ...]:
         f"{1e3 * usual:.1f}",
         f"{1e3 * np.median(flooded.seconds):.1f}",
         f"{1e3 * np.quantile(flooded.seconds, 0.99):.0f}",
-        f"{max(slow, default=0.0):.2f}",
+        f"{recovery(after, end, float(np.quantile(quiet.seconds, 0.99))):.2f}",
         f"{before:.0f}",
         f"{max(flooded.memory + after.memory) - before:+.0f}",
         f"{after.memory[-1] - before:+.0f}",

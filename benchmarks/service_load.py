@@ -338,6 +338,7 @@ def start_client(address: str) -> Iterator[LoadClient]:
 
 def _run_client(address: str) -> None:
     """Send the load that each line of standard input describes; an empty line stops it and prints the answers."""
+    sys.setswitchinterval(1e-4)  # the thread that sends holds up the one that receives for at most this time, s
     with zenoh.open(build_configuration(None, {"mode": "client"}, {"connect/endpoints": [address]})) as session:
         print("ready", flush=True)
         sender: _Sender | None = None

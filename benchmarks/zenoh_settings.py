@@ -13,6 +13,7 @@ import json
 import sys
 import threading
 import time
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -106,7 +107,7 @@ def _show(trips: dict[str, list[float]], save: Path | None) -> None:
         for name, own in trips.items()
     ]
     title = "Round trips over Zenoh with different settings"
-    counts = f"Zenoh {zenoh.__version__}", f"{len(trips['graspforce'])} round trips per row"
+    counts = f"Zenoh {version('eclipse-zenoh')}", f"{len(trips['graspforce'])} round trips per row"
     report_page.publish(title, __doc__, head, rows, save, *counts)
 
 
