@@ -3,8 +3,9 @@
 The requests of ``docs/wire.md`` are mutated: fields removed, added and replaced, lists repeated, numbers scaled, bytes changed.
 Some keys are unknown, or ask for schemas, and some plans are cancelled.
 Each goes to the request handler, a stream or the planning code, in JSON or MessagePack. The law: each payload gets one reply,
-which can be decoded, and no error record has the code ``internal``. Requests are sent in pieces of 10,000, each with a seed of
-its own. A run continues the file of finished pieces.
+which can be decoded, and no error record has the code ``internal``.
+
+Requests are sent in pieces of ten thousand, each with a seed of its own. A run continues the file of finished pieces.
 """
 
 from __future__ import annotations
