@@ -8,17 +8,19 @@ times the load). Iterations are those until the kernel's own verdict; at most 60
 Failures are problems without a certified optimum and without a verified proof of infeasibility. Clarabel solves these again:
 "Clarabel solves" counts those to which it has a certified answer.
 
+Results are kept in `benchmarks/results/records/iterations.jsonl`: a later run continues them, and `--budget` limits its time.
+
 Instructions are those of `gf_solve`, counted by callgrind over 200 random problems, for the machine code that the processor
 selects (`benchmarks/iterations_count.c`).
 """
 
 from __future__ import annotations
 
+import math
 import re
 import shutil
 import subprocess
 import tempfile
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,6 +29,7 @@ import numpy as np
 
 import graspforce as gf
 from benchmarks import report_page
+from benchmarks.task_records import Record, Task, run_tasks
 from graspforce.core.arrays import Array
 from graspforce.force.backends import compiled_kernel
 
@@ -35,6 +38,8 @@ SIZES = ((2, 3), (3, 3), (4, 3), (4, 4), (5, 4), (10, 4))  # contacts, joints of
 KINDS = ("random", "slippery", "near the limit", "flat", "weights", "overloaded")
 LARGEST = 60  # iterations
 GROUP_NUMBERS = 400_000  # numbers of J in a group
+PIECE = 60  # groups of a record
+RECORDS = ROOT / "benchmarks" / "results" / "records" / "iterations.jsonl"
 COUNTED = 200  # problems under callgrind
 HEAD = ("contacts", "joints", "problems", "mean", *(f"most, {kind}" for kind in KINDS), "failures", "Clarabel solves")
 COUNT_HEAD = ("contacts", "joints", "instructions a solve", "iterations", "instructions an iteration")
@@ -157,28 +162,52 @@ def solve_group(task: tuple[int, int, int, int]) -> tuple[str, Array, int, int]:
     return made.kind, np.bincount(report["iterations"], minlength=LARGEST + 1), len(failed), solved
 
 
-def row(contacts: int, joints: int, count: int, processes: int) -> tuple[str, ...]:
+def solve_piece(task: Task) -> Record:
+    """Return the iterations and failures of a piece of `PIECE` groups, by kind.
+
+    Args:
+        task: contacts, joints, number of problems of a group, and index of the piece.
+    """
+    contacts, joints, each, piece = task
+    seen = {kind: np.zeros(LARGEST + 1, dtype=np.int64) for kind in KINDS}
+    failures = solved = 0
+    for index in range(piece * PIECE, (piece + 1) * PIECE):
+        kind, counts, failed, by_clarabel = solve_group((contacts, joints, each, index))
+        seen[kind] += counts
+        failures, solved = failures + failed, solved + by_clarabel
+    iterations = {kind: np.trim_zeros(counts, "b").tolist() for kind, counts in seen.items()}
+    return {"iterations": iterations, "failures": failures, "solved": solved}
+
+
+def tasks_of(contacts: int, joints: int, count: int) -> list[Task]:
+    """Return the pieces that contain `count` problems of a size, at least.
+
+    Args:
+        contacts: number of contacts.
+        joints: number of joints of each finger.
+        count: number of problems.
+    """
+    each = min(GROUP_NUMBERS // (3 * contacts * contacts * joints), 2000)
+    return [(contacts, joints, each, piece) for piece in range(-(-count // (each * PIECE)))]
+
+
+def row(contacts: int, joints: int, records: list[Record]) -> tuple[str, ...]:
     """Return the row of one size.
 
     Args:
         contacts: number of contacts.
         joints: number of joints of each finger.
-        count: number of problems, at least.
-        processes: number of processes.
+        records: records of its pieces.
     """
-    each = min(GROUP_NUMBERS // (3 * contacts * contacts * joints), 2000)
-    groups = -(-count // (each * len(KINDS))) * len(KINDS)
     seen = {kind: np.zeros(LARGEST + 1, dtype=np.int64) for kind in KINDS}
-    failures = solved = 0
-    with ProcessPoolExecutor(processes) as pool:
-        tasks = [(contacts, joints, each, i) for i in range(groups)]
-        for kind, counts, failed, by_clarabel in pool.map(solve_group, tasks, chunksize=8):
-            seen[kind] += counts
-            failures, solved = failures + failed, solved + by_clarabel
+    for record in records:
+        for kind, counts in record["iterations"].items():
+            seen[kind][: len(counts)] += np.array(counts, dtype=np.int64)
     total = np.sum(list(seen.values()), axis=0)
     mean = float(total @ np.arange(LARGEST + 1) / total.sum())
     most = [str(int(np.flatnonzero(counts).max())) for counts in seen.values()]
-    return (str(contacts), str(joints), f"{total.sum()}", f"{mean:.1f}", *most, str(failures), str(solved))
+    failures, solved = (str(sum(record[name] for record in records)) for name in ("failures", "solved"))
+    return (str(contacts), str(joints), f"{total.sum()}", f"{mean:.1f}", *most, failures, solved)
 
 
 def count_instructions() -> list[tuple[str, ...]]:
@@ -211,11 +240,14 @@ def main() -> None:
     options.add_argument("--count", type=int, default=100_000, help="problems of each size")
     options.add_argument("--most", type=int, default=0, help="problems of the size with 4 contacts and 3 joints")
     options.add_argument("--processes", type=int, default=2, help="number of processes")
+    options.add_argument("--budget", type=float, default=math.inf, help="time after which no further piece starts (s)")
+    options.add_argument("--records", type=Path, default=RECORDS, help="file of results that a later run continues")
     given = options.parse_args()
-    rows = []
-    for size in SIZES:
-        rows.append(row(*size, max(given.count, given.most if size == (4, 3) else 0), given.processes))
-        report_page.show("Iterations", HEAD, rows[-1:], width=200)
+    tasks = [t for size in SIZES for t in tasks_of(*size, max(given.count, given.most if size == (4, 3) else 0))]
+    results = run_tasks(solve_piece, tasks, given.records, given.processes, given.budget)
+    by_size = {size: [record for task, record in results.items() if task[:2] == size] for size in SIZES}
+    rows = [row(*size, records) for size, records in by_size.items() if records]
+    report_page.show("Iterations", HEAD, rows, width=200)
     counts = count_instructions()
     report_page.show("Instructions", COUNT_HEAD, counts)
     if given.save:
