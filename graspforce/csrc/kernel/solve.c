@@ -4,7 +4,8 @@
  *     lanes.inc cone.inc                  vector arithmetic and second-order cones
  *     finger_newton.inc finger_step.inc   operations on one finger
  *     schur.inc iteration.inc             operations on the object, and the iteration
- *     start.inc range_proof.inc           starting points, and proofs for wrenches outside the range of G
+ *     start.inc short_step.inc            starting points, and the path whose number of steps is bounded
+ *     range_proof.inc                     proofs for wrenches outside the range of G
  *     unpack.inc                          forces and multipliers in SI units
  *
  * The .inc files are compiled as part of this file, so that one flattened function contains the whole iteration.
@@ -18,7 +19,8 @@
  *
  * A solution with τ > 0 is optimal after division by τ. A solution with wᵀy + eᵀv + hᵀz < 0 and Gᵀy + Eᵀv + Aᵀz = 0 proves
  * that no feasible x exists. Each iteration takes a predictor step (σ = 0) and a corrector step with second-order terms
- * (Mehrotra 1992).
+ * (Mehrotra 1992). These steps have no bound of their number; where they end without a verdict, short steps can follow
+ * (short_step.inc).
  *
  * A Newton step solves K (dx, dy, dv) = right-hand side with K = [M Gᵀ Eᵀ; G 0 0; E 0 0] and M = H + AᵀW⁻²A. It solves twice:
  * for the residuals and for the column of τ, (−c, w, e, h). M is block diagonal with one Cholesky factor L for each finger;
@@ -35,7 +37,7 @@
 #include "../real.inc"
 #include "pack.inc"
 #include "range_proof.inc"
-#include "start.inc"
+#include "short_step.inc"
 #include "unpack.inc"
 
 /* Header of the workspace, kept between calls for warm starts. */
@@ -68,7 +70,7 @@ GF_TARGET_CLONES static gf_status run_level_iteration(gf_iteration *a, int max_i
     return iterate(a, 1, max_iterations, iterations);
 }
 
-/* Run the iteration until a verdict is reached; an infeasibility proof is then in `solution`. */
+/* Run the iteration until a verdict or the limit is reached; an infeasibility proof is then in `solution`. */
 static gf_status run_to_verdict(gf_iteration *a, int max_iterations, gf_solution *solution)
 {
     const gf_scaled_problem *p = a->p;
@@ -86,6 +88,22 @@ static gf_status run_to_verdict(gf_iteration *a, int max_iterations, gf_solution
         }
         if (!(a->proof_demand < LARGEST_DEMAND)) return GF_FAILED;
     }
+}
+
+/* Run the iteration, and where it ends without a verdict, the short-step path. */
+static gf_status run_both_paths(gf_iteration *a, const gf_options *options, gf_solution *solution)
+{
+    const gf_status status = run_to_verdict(a, options->max_iterations, solution);
+    if (status == GF_OPTIMAL || status == GF_INFEASIBLE || options->short_steps <= 0) return status;
+    start_short_steps(a);
+    return run_to_verdict(a, solution->iterations + options->short_steps, solution);
+}
+
+int gf_short_step_bound(const gf_structure *structure, double reduction)
+{
+    if (structure_size(structure) == 0 || !(reduction > 0.0)) return 0;
+    const double steps = ceil(log(reduction) / log(short_step_centring(largest_degree(structure))));
+    return steps < 0.0 ? 0 : steps < INT_MAX ? (int)steps : INT_MAX;
 }
 
 /* Place the parts of a workspace. Return its header. */
@@ -148,7 +166,7 @@ gf_status gf_solve(const gf_structure *structure, const gf_problem *problem, con
         start_warm(&a, kept->y, kept->tau);
     else
         start_cold(&a);
-    const gf_status status = run_to_verdict(&a, options->max_iterations, solution);
+    const gf_status status = run_both_paths(&a, options, solution);
     solution->primal = a.primal;
     solution->dual = a.dual;
     solution->gap = a.gap;

@@ -35,6 +35,7 @@ with contextlib.suppress(ImportError):  # not built: no C compiler
 
 TOLERANCE = 1e-9  # on scaled residuals: a tenth of the certificate's tolerance
 MAX_ITERATIONS = 60
+SHORT_STEP_REDUCTION = 1e-24  # of all residuals and the mean complementarity, after which short steps end
 LARGEST_BLOCK = 48  # force components that share joints in a control step; larger dense blocks are slower than a sparse solver
 # the arrays that a step of `IncrementalKernel` can change
 CHANGEABLE = ("w", "J", "tau_u", "p", "R", "mu", "min_normal", "max_normal", "gamma")

@@ -15,6 +15,7 @@ from graspforce.force.problem import ForceProblem
 from graspforce.force.solution import Solution
 
 _MAX_ITERATIONS = 10**9
+MAX_SHORT_STEPS = 10**6  # that the kernel accepts
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +28,9 @@ class SolverSettings:
         tolerance: bound on the solver's own scaled residuals, > 0.
         max_iterations: limit on the iterations, at least 1.
         time_limit: limit on the time of one solve, s, > 0. ProxQP has no such limit.
+        short_steps: limit on the short steps of the kernel, at least 0, which follow where its first iterations end without a
+            verdict. Default: none with `max_iterations`, otherwise the number that the theorem states for a reduction of all
+            residuals to 1e-24. Other backends ignore it.
 
     Raises:
         InvalidInput: a value outside its range.
@@ -35,12 +39,15 @@ class SolverSettings:
     tolerance: float | None = None
     max_iterations: int | None = None
     time_limit: float | None = None
+    short_steps: int | None = None
 
     def __post_init__(self) -> None:
         """Validate the values."""
         for name in ("tolerance", "time_limit"):
             if getattr(self, name) is not None:
                 set_fields(self, **{name: arrays.check_number(getattr(self, name), name, above=0.0)})
+        if self.short_steps is not None:
+            fields.check_integer(self.short_steps, "short_steps", minimum=0, maximum=MAX_SHORT_STEPS)
         if self.max_iterations is not None:
             fields.check_integer(self.max_iterations, "max_iterations", minimum=1, maximum=_MAX_ITERATIONS)
 

@@ -19,6 +19,7 @@ from graspforce.force.backends.compiled_kernel import (
     CHANGEABLE,
     MAX_ITERATIONS,
     NOT_BUILT,
+    SHORT_STEP_REDUCTION,
     TOLERANCE,
     IncrementalKernel,
     check_available,
@@ -29,7 +30,7 @@ from graspforce.force.backends.compiled_kernel import (
     level_of,
     make_record,
 )
-from graspforce.force.backends.protocol import Backend, SolverSettings
+from graspforce.force.backends.protocol import MAX_SHORT_STEPS, Backend, SolverSettings
 from graspforce.force.certificate import INFEASIBILITY_TOLERANCE, TIGHT_TOLERANCE, Certificate
 from graspforce.force.multipliers import Multipliers
 from graspforce.force.problem import ForceProblem
@@ -175,6 +176,7 @@ class KernelSession:
         self._tolerance = settings.tolerance or TOLERANCE
         self._max_iterations = settings.max_iterations or MAX_ITERATIONS
         self._time_limit = settings.time_limit or 0.0
+        self._short_steps = 0 if settings.short_steps is None and settings.max_iterations is not None else settings.short_steps
         self._bind(problem)
 
     @property
@@ -258,6 +260,16 @@ class KernelSession:
         self._loaded, self._result = problem, None
         return True
 
+    def short_step_bound(self, reduction: float) -> int:
+        """Return the number of short steps that reduce all residuals and the mean complementarity by a factor.
+
+        It holds for every problem of this structure, in exact arithmetic: ``docs/concepts/iteration_bound.md``.
+
+        Args:
+            reduction: the factor, above 0 and at most 1.
+        """
+        return int(self._kernel.short_step_bound(reduction))
+
     def solution_layout(self) -> dict[str, tuple[int, int]]:
         """Return the first and last place of each part of a solution in the kernel's numbers."""
         layout: dict[str, tuple[int, int]] = self._kernel.solution_layout()
@@ -270,6 +282,10 @@ class KernelSession:
         inputs = kernel_inputs(problem, facets)
         self._kernel = IncrementalKernel(_ANY_SIZE, problem.contacts.columns, owners, level_of(problem), *inputs)
         self._kernel.limit_time(self._time_limit)
+        steps = self._short_steps
+        if steps is None:
+            steps = min(self.short_step_bound(SHORT_STEP_REDUCTION), MAX_SHORT_STEPS)
+        self._kernel.limit_short_steps(steps)
         self._loaded, self._result = problem, None
         self._spans = self._kernel.spans()
 

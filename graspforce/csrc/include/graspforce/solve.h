@@ -28,8 +28,10 @@
  * Guarantees
  * ----------
  * - The problem is scaled internally. Results do not depend on the units of length and force, apart from rounding.
- * - The number of iterations is bounded by max_iterations; is_over can end the search earlier. The best iterate is then returned
- *   as inaccurate if it is within 1000 times the tolerance.
+ * - The number of iterations is bounded by max_iterations plus short_steps; is_over can end the search earlier. The best iterate
+ *   is then returned as inaccurate if it is within 1000 times the tolerance.
+ * - Short steps follow where the first max_iterations end without a verdict. In exact arithmetic, each reduces all residuals and
+ *   the mean complementarity by the same known factor; docs/concepts/iteration_bound.md states what follows.
  * - No memory is allocated, nothing is printed, no global state is written and no locale is read.
  * - Calls with different workspaces may run in different threads at the same time.
  * - NaN, and infinity where it does not mean "no limit", return GF_FAILED.
@@ -106,13 +108,20 @@ typedef struct {
     int warm;                      /* nonzero: start from the last optimal solution in the workspace if its structure matches */
     int (*is_over)(void *context); /* called before each iteration but the first; nonzero ends the search. May be NULL */
     void *context;                 /* argument of is_over */
+    int short_steps;               /* ≥ 0: largest number of short steps after max_iterations; see gf_short_step_bound() */
 } gf_options;
 
-#define GF_OPTIONS_DEFAULT {1e-9, 60, 0, NULL, NULL}
+#define GF_OPTIONS_DEFAULT {1e-9, 60, 0, NULL, NULL, 0}
 
 /* Return the bytes of workspace that any problem of this structure needs, or 0 if the structure is invalid.
  * The alignment of malloc() is sufficient. */
 size_t gf_workspace_size(const gf_structure *structure);
+
+/* Return the number of short steps that reduce all residuals and the mean complementarity, which start at 1, by a factor.
+ *
+ * It holds for every problem of this structure, in exact arithmetic. 1e-24 is far below the rounding of double. Return 0 if the
+ * structure is invalid or `reduction` is not positive. */
+int gf_short_step_bound(const gf_structure *structure, gf_real reduction);
 
 /* Solve one problem and return its status.
  *
