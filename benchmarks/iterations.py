@@ -5,8 +5,9 @@ adversarial kinds are "slippery" (friction from 1e-4), "near the limit" (torque 
 make the problem feasible), "flat" (contacts within 1e-5 of a plane), "weights" (from 1e-4 to 1e4), and "overloaded" (up to 1000
 times the load). Iterations are those until the kernel's own verdict; at most 60 are allowed.
 
-Failures are problems without a certified optimum and without a verified proof of infeasibility. Clarabel solves these again:
-"Clarabel solves" counts those to which it has a certified answer.
+Failures are problems without a certified optimum and without a verified proof of infeasibility. The kernel with its short steps
+(`docs/concepts/iteration_bound.md`) and Clarabel solve these again; the page counts the certified answers of each. "Most steps"
+are iterations of both paths together, and "bound" is the proven number of short steps that reduce all residuals to 1e-24.
 
 Results are kept in `benchmarks/results/records/iterations.jsonl`: a later run continues them, and `--budget` limits its time.
 
@@ -21,7 +22,7 @@ import re
 import shutil
 import subprocess
 import tempfile
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,9 @@ from benchmarks import report_page
 from benchmarks.task_records import Record, Task, run_tasks
 from graspforce.core.arrays import Array
 from graspforce.force.backends import compiled_kernel
+from graspforce.force.backends.protocol import SolverSettings
+from graspforce.force.backends.structured import KernelSession
+from graspforce.force.certificate import certify, certify_infeasibility
 
 ROOT = Path(__file__).parents[1]
 SIZES = ((2, 3), (3, 3), (4, 3), (4, 4), (5, 4), (10, 4))  # contacts, joints of each finger
@@ -41,7 +45,8 @@ GROUP_NUMBERS = 400_000  # numbers of J in a group
 PIECE = 60  # groups of a record
 RECORDS = ROOT / "benchmarks" / "results" / "records" / "iterations.jsonl"
 COUNTED = 200  # problems under callgrind
-HEAD = ("contacts", "joints", "problems", "mean", *(f"most, {kind}" for kind in KINDS), "failures", "Clarabel solves")
+HEAD = ("contacts", "joints", "problems", "mean", *(f"most, {kind}" for kind in KINDS))
+FAILURES_HEAD = ("contacts", "joints", "failures", "short steps solve", "most steps", "bound", "Clarabel solves", "unsolved")
 COUNT_HEAD = ("contacts", "joints", "instructions a solve", "iterations", "instructions an iteration")
 
 
@@ -129,11 +134,60 @@ def problem(group: Group, i: int) -> gf.ForceProblem:
     return gf.ForceProblem(contacts, rows["w"], hand)
 
 
-def solve_group(task: tuple[int, int, int, int]) -> tuple[str, Array, int, int]:
-    """Return kind, numbers of problems by iterations, failures, and how many of them Clarabel solves.
+@dataclass
+class Failures:
+    """Problems without a certified answer, and the answers to them.
+
+    Args:
+        count: number of problems.
+        by_steps, by_clarabel: those that the kernel with short steps, and Clarabel, solve.
+        unsolved: those that neither solves.
+        most_steps: most iterations of the kernel with short steps.
+    """
+
+    count: int = 0
+    by_steps: int = 0
+    by_clarabel: int = 0
+    unsolved: int = 0
+    most_steps: int = 0
+
+    def add(self, failed: gf.ForceProblem) -> None:
+        """Solve one more failure.
+
+        Args:
+            failed: the problem.
+        """
+        session = KernelSession(failed, SolverSettings())
+        with_steps = session.solve()
+        is_solved = is_certified(failed, with_steps)
+        by_clarabel = gf.solve(failed, "clarabel", explain=False).status in (gf.Status.OPTIMAL, gf.Status.INFEASIBLE)
+        self.count += 1
+        self.by_steps += is_solved
+        self.by_clarabel += by_clarabel
+        self.unsolved += not (is_solved or by_clarabel)
+        self.most_steps = max(self.most_steps, with_steps.iterations)
+
+
+def is_certified(problem: gf.ForceProblem, solution: gf.Solution) -> bool:
+    """Return whether the certificate proves a solution of the kernel optimal or infeasible.
+
+    Args:
+        problem: the force problem.
+        solution: the kernel's solution.
+    """
+    if solution.multipliers is None:
+        return False
+    if solution.status is gf.Status.INFEASIBLE:
+        return certify_infeasibility(problem, solution.multipliers).certificate.verified
+    return bool(len(solution.f)) and certify(problem, solution.f, solution.multipliers).is_tight
+
+
+def solve_group(task: tuple[int, int, int, int], failures: Failures) -> tuple[str, Array]:
+    """Return kind and numbers of problems by iterations, and add the failures.
 
     Args:
         task: contacts, joints, number of problems and index of the group.
+        failures: receives the failures.
     """
     made = group(*task)
     count, n = len(made.rows["w"]), made.rows["tau_u"].shape[1]
@@ -155,11 +209,9 @@ def solve_group(task: tuple[int, int, int, int]) -> tuple[str, Array, int, int]:
     worst = np.max([report[f"certified_{name}"] for name in ("primal", "dual", "gap")], axis=0)
     is_proven = (report["status"] == 2) & (report["certified_primal"] == 0.0)
     failed = np.flatnonzero(~(((report["status"] <= 1) & (worst <= 1e-8)) | is_proven))
-    solved = sum(
-        gf.solve(problem(made, int(i)), "clarabel", explain=False).status in (gf.Status.OPTIMAL, gf.Status.INFEASIBLE)
-        for i in failed
-    )
-    return made.kind, np.bincount(report["iterations"], minlength=LARGEST + 1), len(failed), solved
+    for i in failed:
+        failures.add(problem(made, int(i)))
+    return made.kind, np.bincount(report["iterations"], minlength=LARGEST + 1)
 
 
 def solve_piece(task: Task) -> Record:
@@ -170,13 +222,12 @@ def solve_piece(task: Task) -> Record:
     """
     contacts, joints, each, piece = task
     seen = {kind: np.zeros(LARGEST + 1, dtype=np.int64) for kind in KINDS}
-    failures = solved = 0
+    failures = Failures()
     for index in range(piece * PIECE, (piece + 1) * PIECE):
-        kind, counts, failed, by_clarabel = solve_group((contacts, joints, each, index))
+        kind, counts = solve_group((contacts, joints, each, index), failures)
         seen[kind] += counts
-        failures, solved = failures + failed, solved + by_clarabel
     iterations = {kind: np.trim_zeros(counts, "b").tolist() for kind, counts in seen.items()}
-    return {"iterations": iterations, "failures": failures, "solved": solved}
+    return {"iterations": iterations, "failures": asdict(failures)}
 
 
 def tasks_of(contacts: int, joints: int, count: int) -> list[Task]:
@@ -206,8 +257,25 @@ def row(contacts: int, joints: int, records: list[Record]) -> tuple[str, ...]:
     total = np.sum(list(seen.values()), axis=0)
     mean = float(total @ np.arange(LARGEST + 1) / total.sum())
     most = [str(int(np.flatnonzero(counts).max())) for counts in seen.values()]
-    failures, solved = (str(sum(record[name] for record in records)) for name in ("failures", "solved"))
-    return (str(contacts), str(joints), f"{total.sum()}", f"{mean:.1f}", *most, failures, solved)
+    return (str(contacts), str(joints), f"{total.sum()}", f"{mean:.1f}", *most)
+
+
+def failures_row(contacts: int, joints: int, records: list[Record]) -> tuple[str, ...]:
+    """Return the row of the failures of one size.
+
+    Args:
+        contacts: number of contacts.
+        joints: number of joints of each finger.
+        records: records of its pieces.
+    """
+    found = [Failures(**record["failures"]) for record in records]
+    count, steps, clarabel, unsolved = (
+        str(sum(getattr(one, name) for one in found)) for name in ("count", "by_steps", "by_clarabel", "unsolved")
+    )
+    most = str(max(one.most_steps for one in found))
+    first = problem(group(contacts, joints, 1, 0), 0)
+    bound = str(KernelSession(first, SolverSettings()).short_step_bound(compiled_kernel.SHORT_STEP_REDUCTION))
+    return (str(contacts), str(joints), count, steps, most, bound, clarabel, unsolved)
 
 
 def count_instructions() -> list[tuple[str, ...]]:
@@ -248,10 +316,13 @@ def main() -> None:
     by_size = {size: [record for task, record in results.items() if task[:2] == size] for size in SIZES}
     rows = [row(*size, records) for size, records in by_size.items() if records]
     report_page.show("Iterations", HEAD, rows, width=200)
+    failures = [failures_row(*size, records) for size, records in by_size.items() if records]
+    report_page.show("Failures", FAILURES_HEAD, failures, width=120)
     counts = count_instructions()
     report_page.show("Instructions", COUNT_HEAD, counts)
     if given.save:
-        tables = "\n\n".join([report_page.table(HEAD, rows, 2), report_page.table(COUNT_HEAD, counts, 2)])
+        parts = (HEAD, rows), (FAILURES_HEAD, failures), (COUNT_HEAD, counts)
+        tables = "\n\n".join(report_page.table(head, lines, 2) for head, lines in parts)
         facts = report_page.facts(f"graspforce {gf.__version__}")
         report_page.save(given.save, "Iterations of the structured kernel", __doc__, facts, tables)
 

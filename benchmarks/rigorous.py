@@ -9,6 +9,8 @@ Mutations replace one number of a valid proof by another one. With the old check
 exact checker decides about a statement on other data: those that it accepts change a number by less than the proof's room, or
 one on which the proof does not depend.
 
+With `--records` results are kept in a file: a later run continues them, and `--budget` limits its time.
+
 The times are medians of repeated calls on one problem of four contacts and twelve motors, plain and rigorous: in Python for
 some cones and objectives, and in C without conversion of arguments for exact cones (`benchmarks/rigorous_time.c`).
 """
@@ -16,6 +18,7 @@ some cones and objectives, and in C without conversion of arguments for exact co
 from __future__ import annotations
 
 import copy
+import math
 import shutil
 import subprocess
 import sys
@@ -31,6 +34,7 @@ import numpy as np
 
 import graspforce as gf
 from benchmarks import report_page
+from benchmarks.task_records import Record, Task, run_tasks
 from graspforce.analysis.check_proof import ProofError, check
 from graspforce.core.errors import InvalidInput
 from graspforce.force.certificate import certify
@@ -42,6 +46,8 @@ from support.other_units import in_other_units
 from support.random_problems import random_problem
 
 ROOT = Path(__file__).parents[1]
+PIECE = 1000  # problems or mutations of a record
+PROOFS = 50  # that are mutated in a piece
 SIMPLE = ("torque", "force", "sum_normal")
 TIMED = (
     ("exact cones, torque", None, "torque"),
@@ -70,35 +76,40 @@ def problems(count: int, seed: int, simple: bool) -> Iterator[gf.ForceProblem]:
             yield in_other_units(problem, 10.0 ** rng.uniform(-12.0, 12.0), 10.0 ** rng.uniform(-3.0, 3.0))
 
 
-def count_claims(count: int, seed: int, simple: bool) -> tuple[Counter[tuple[str, str]], list[Proof]]:
-    """Return the number of outcomes by verdict, and some valid proofs.
+def claim(problem: gf.ForceProblem) -> tuple[str, str, Proof | None]:
+    """Return the verdict on a problem, its outcome, and the proof if the checker agrees.
+
+    Args:
+        problem: the force problem.
+    """
+    solution = gf.solve(problem, explain=False)
+    status = "optimal" if solution.found else solution.status.value
+    if status == "failed":
+        return status, "none", None
+    try:
+        proof = make_proof(solution)
+    except InvalidInput:
+        return status, "not proven", None
+    try:
+        agrees = check(proof) == status
+    except ProofError:
+        agrees = False
+    return (status, "agrees", proof) if agrees else (status, "wrong", None)
+
+
+def count_claims(count: int, seed: int, simple: bool) -> Record:
+    """Return the number of outcomes by verdict.
 
     Args:
         count: number of problems.
         seed: seed of the random numbers.
         simple: as in `problems`.
     """
-    outcomes: Counter[tuple[str, str]] = Counter()
-    kept: list[Proof] = []
+    outcomes: Counter[str] = Counter()
     for problem in problems(count, seed, simple):
-        solution = gf.solve(problem, explain=False)
-        status = "optimal" if solution.found else solution.status.value
-        if status == "failed":
-            outcomes[status, "none"] += 1
-            continue
-        try:
-            proof = make_proof(solution)
-        except InvalidInput:
-            outcomes[status, "not proven"] += 1
-            continue
-        try:
-            agrees = check(proof) == status
-        except ProofError:
-            agrees = False
-        outcomes[status, "agrees" if agrees else "wrong"] += 1
-        if agrees and len(kept) < 50:
-            kept.append(proof)
-    return outcomes, kept
+        status, outcome, _ = claim(problem)
+        outcomes[f"{status}, {outcome}"] += 1
+    return dict(outcomes)
 
 
 def mutate(proof: Proof, rng: np.random.Generator) -> Proof:
@@ -127,15 +138,16 @@ def _places(node: Any) -> Iterator[tuple[Any, Any]]:
             yield node, key
 
 
-def count_mutations(proofs: list[Proof], count: int, seed: int) -> tuple[int, int]:
-    """Return how many mutations are accepted with the old checksum, and with a new one.
+def count_mutations(count: int, seed: int, simple: bool) -> Record:
+    """Return how many mutations are refused with the old checksum, and with a new one.
 
     Args:
-        proofs: valid proofs.
         count: number of mutations.
         seed: seed of the random numbers.
+        simple: as in `problems`.
     """
-    rng, accepted = np.random.default_rng(seed), [0, 0]
+    rng, refused = np.random.default_rng(seed), [0, 0]
+    proofs = [proof for problem in problems(PROOFS, seed, simple) if (proof := claim(problem)[2]) is not None]
     for i in range(count):
         mutated = mutate(proofs[i % len(proofs)], rng)
         for renewed in (False, True):
@@ -143,10 +155,19 @@ def count_mutations(proofs: list[Proof], count: int, seed: int) -> tuple[int, in
                 mutated["digest"] = digest(mutated)
             try:
                 check(mutated)
-                accepted[renewed] += 1
             except ProofError:
-                pass
-    return accepted[0], accepted[1]
+                refused[renewed] += 1
+    return {"old": refused[0], "new": refused[1]}
+
+
+def run_piece(task: Task) -> Record:
+    """Return the result of one piece.
+
+    Args:
+        task: "claims" or "mutations", their number, the seed, and as in `problems` 1 for simple ones.
+    """
+    kind, count, seed, simple = task
+    return (count_claims if kind == "claims" else count_mutations)(count, seed, bool(simple))
 
 
 def nearest_cases() -> tuple[int, int]:
@@ -197,6 +218,15 @@ def c_times() -> str:
         return subprocess.run([str(program)], check=True, capture_output=True, text=True).stdout.strip()
 
 
+def outcome_counts(record: Record) -> dict[str, int]:
+    """Return the numbers of a record without its task and commit.
+
+    Args:
+        record: the record of a piece.
+    """
+    return {name: value for name, value in record.items() if name not in ("task", "commit")}
+
+
 def main() -> None:
     """Measure, print the table and write the page."""
     options = report_page.parser("rigorous", __doc__)
@@ -206,20 +236,33 @@ def main() -> None:
     options.add_argument(
         "--simple", action="store_true", help="exact cones and the objectives torque, force and sum_normal only"
     )
+    options.add_argument("--processes", type=int, default=1, help="number of processes")
+    options.add_argument("--budget", type=float, default=math.inf, help="time after which no further piece starts (s)")
+    options.add_argument("--records", type=Path, help="file of results that a later run continues")
     given = options.parse_args()
-    outcomes, proofs = count_claims(given.count, given.seed, given.simple)
+    numbers = {"mutations": given.mutations, "claims": given.count}
+    tasks: list[Task] = [
+        (kind, min(PIECE, n - start), given.seed + start // PIECE, int(given.simple))
+        for kind, n in numbers.items()
+        for start in range(0, n, PIECE)
+    ]
+    with tempfile.TemporaryDirectory() as folder:
+        records = given.records or Path(folder) / "records.jsonl"
+        results = run_tasks(run_piece, tasks, records, given.processes, given.budget)
+    claims = sum((Counter(outcome_counts(r)) for task, r in results.items() if task[0] == "claims"), Counter())
+    mutations = sum((Counter(outcome_counts(r)) for task, r in results.items() if task[0] == "mutations"), Counter())
     rows = []
     for status in ("optimal", "infeasible"):
-        agrees, wrong = outcomes[status, "agrees"], outcomes[status, "wrong"]
-        rows.append((status, str(agrees + wrong), str(agrees), str(outcomes[status, "not proven"])))
+        agrees, wrong, unproven = (claims[f"{status}, {name}"] for name in ("agrees", "wrong", "not proven"))
+        rows.append((status, str(agrees + wrong), str(agrees), str(unproven)))
     report_page.show("Rigorous certificates", HEAD, rows)
-    old, new = count_mutations(proofs, given.mutations, given.seed)
     near, proven = nearest_cases()
     times = [(name, f"{1e6 * a:.0f}", f"{1e6 * b:.0f}", f"{b / a:.2f}") for name, a, b in python_times()]
     sentences = [
-        f"{given.count} problems; {outcomes['failed', 'none']} without a verdict.",
-        f"{given.mutations} mutations: {given.mutations - old} refused with the old checksum, "
-        f"{given.mutations - new} with a new one.",
+        f"{claims.total()} problems; {claims['failed, none']} without a verdict.",
+        f"{sum(task[1] for task in results if task[0] == 'mutations')} mutations: "
+        f"{mutations['old']} refused with the old checksum, "
+        f"{mutations['new']} with a new one.",
         f"Of the {near} infeasible cases of the library that are nearest to feasibility, {proven} are proven.",
         c_times(),
     ]
