@@ -23,12 +23,12 @@ from graspforce.core.arrays import Array
 from graspforce.core.json_text import JsonRecord
 from graspforce.force.certificate import InfeasibilityProof
 from graspforce.force.cone_program import ConicProgram, ConicResult, ConicSolver, conic_program
+from graspforce.force.infeasibility_text import NEGLIGIBLE_SHARE, explanation_text, reach_text
 from graspforce.force.multipliers import Multipliers
 from graspforce.force.problem import ForceProblem
 from graspforce.force.problem_options import Objective
 from graspforce.force.status import Status
 
-_NEGLIGIBLE_SHARE = 1e-6  # of the largest term: smaller terms are rounding
 _LARGEST_FACTOR = 1e4  # larger factors on friction are of no use
 _SMALLEST_FACTOR = 1e-6  # smaller factors count as no friction
 _FACTOR_ACCURACY = 1e-7  # relative
@@ -137,13 +137,13 @@ def describe_infeasibility(problem: ForceProblem, infeasibility_proof: Infeasibi
     # largest weight of each contact; moments times the torsional length, so that all weights are per N
     z[:, friction.M_N] *= contacts.gamma
     weight = np.maximum.reduce([z.max(axis=1), m.normal_lower, m.normal_upper])
-    carrying = np.flatnonzero(weight > _NEGLIGIBLE_SHARE * max(float(weight.max()), 1e-300))
+    carrying = np.flatnonzero(weight > NEGLIGIBLE_SHARE * max(float(weight.max()), 1e-300))
     unit = float(np.linalg.norm(y))
-    if unit <= _NEGLIGIBLE_SHARE * float(weight.max()):  # the limits contradict each other for every wrench
+    if unit <= NEGLIGIBLE_SHARE * float(weight.max()):  # the limits contradict each other for every wrench
         unit = 0.0
     direction = y / unit if unit > 0 else np.zeros(6)
     torque = np.maximum(m.torque_lower, m.torque_upper)
-    joints = np.flatnonzero(torque > _NEGLIGIBLE_SHARE * max(float(torque.max(initial=0.0)), 1e-300))
+    joints = np.flatnonzero(torque > NEGLIGIBLE_SHARE * max(float(torque.max(initial=0.0)), 1e-300))
     reach = infeasibility_proof.reach if np.isfinite(infeasibility_proof.reach) else None
     return Infeasibility(
         verified=infeasibility_proof.certificate.verified,
@@ -151,7 +151,7 @@ def describe_infeasibility(problem: ForceProblem, infeasibility_proof: Infeasibi
         contacts=tuple(int(i) for i in carrying),
         joints=tuple(int(j) for j in joints),
         wrench=arrays.freeze(direction),
-        explanation=_explanation_text(problem, m, direction, unit, carrying.tolist(), joints.tolist()) + _reach_text(reach),
+        explanation=explanation_text(problem, m, direction, unit, carrying.tolist(), joints.tolist()) + reach_text(reach),
         reach=reach,
     )
 
@@ -348,57 +348,3 @@ def smallest_friction_factor(problem: ForceProblem, solve_conic: ConicSolver) ->
         middle = math.sqrt(low * high)
         low, high = (low, middle) if is_feasible(middle) else (middle, high)
     return high if high <= _LARGEST_FACTOR else None
-
-
-def _explanation_text(
-    problem: ForceProblem, m: Multipliers, direction: Array, unit: float, contacts: list[int], joints: list[int]
-) -> str:
-    """Return the proof as text."""
-    actuation = problem.actuation
-    rest = m.normal_lower @ problem.contacts.min_normal - _finite_product(m.normal_upper, problem.contacts.max_normal)
-    if actuation is not None:
-        rest += _finite_product(m.torque_lower, actuation.lower - actuation.tau_u) - _finite_product(
-            m.torque_upper, actuation.upper - actuation.tau_u
-        )
-    limits = []
-    if contacts:
-        limits.append(f"the friction and normal-force limits of contact{_format_indices(contacts)}")
-    if joints:
-        sides = ", ".join(f"{j} ({'upper' if m.torque_upper[j] >= m.torque_lower[j] else 'lower'})" for j in joints)
-        limits.append(f"the torque limits of joint{'s' if len(joints) > 1 else ''} {sides}")
-    carried = " and ".join(limits)
-    if unit == 0.0:
-        return f"For every wrench, {carried} contradict each other."
-    force, moment = direction[:3], direction[3:]
-    parts = []
-    if np.linalg.norm(force) > _NEGLIGIBLE_SHARE:
-        parts.append(f"force along ({_format_vector(force)})")
-    if np.linalg.norm(moment) > _NEGLIGIBLE_SHARE:
-        parts.append(f"moment about ({_format_vector(moment)})")
-    required, available = float(direction @ problem.w), -float(rest) / unit
-    if abs(available) < _NEGLIGIBLE_SHARE * abs(required):
-        available = 0.0
-    return (
-        f"In the wrench direction with {' and '.join(parts)}, {required:.6g} is required and at most {available:.6g} can be "
-        f"supplied. The active limits are {carried}."
-    )
-
-
-def _reach_text(reach: float | None) -> str:
-    """Return the sentence on the forces that a proof covers; empty if it covers all."""
-    return "" if reach is None else f" The proof covers normal forces up to a sum of {reach:.2g} N."
-
-
-def _finite_product(multiplier: Array, limit: Array) -> float:
-    """Return multiplier · limit over the limits that exist."""
-    return float(multiplier @ np.where(np.isfinite(limit), limit, 0.0))
-
-
-def _format_indices(items: list[int]) -> str:
-    """Return " 3" for one index, "s 3, 4" for several: the end of a word and the list."""
-    return f" {items[0]}" if len(items) == 1 else "s " + ", ".join(map(str, items))
-
-
-def _format_vector(vector: Array) -> str:
-    """Return the components with three digits; negligible ones as 0."""
-    return ", ".join(f"{x:.3g}" for x in np.where(np.abs(vector) < _NEGLIGIBLE_SHARE, 0.0, vector))

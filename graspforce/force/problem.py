@@ -12,7 +12,6 @@ sides, and the linear term of the cost is J W tau_u, which does not contain f.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from graspforce.contact import friction
-from graspforce.contact.contact import Contact, ContactModel, ContactSet
+from graspforce.contact.contact import Contact, ContactSet
 from graspforce.contact.matrices import characteristic_length, grasp_matrix
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
@@ -29,6 +28,7 @@ from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import copy_unchecked, set_fields
 from graspforce.core.text_table import Table
+from graspforce.force.contact_values import with_contact_values
 from graspforce.force.problem_options import Cone, Objective
 from graspforce.force.uncertainty import Uncertainty
 from graspforce.geometry.vectors import cross
@@ -36,7 +36,6 @@ from graspforce.hand.actuation import Actuation
 
 SCHEMA = "graspforce/problem/1"
 _MOST_DISTANT = 1e6  # median distances: moments are certified to 1e-8 of the distances' root mean square
-_ROTATION_TOLERANCE = 1e-9  # largest |RᵀR − 1| of a contact frame given as a matrix: a bound on rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,7 +266,7 @@ class ForceProblem:
             except InvalidInput as error:
                 raise error.with_prefix("hand") from None
         if not all(value is None for value in (mu, p, R, normal_limits)):
-            contacts = _with_contact_values(self.contacts, mu, p, R, normal_limits)
+            contacts = with_contact_values(self.contacts, mu, p, R, normal_limits)
             w = self.w if w is None else w
             return ForceProblem(contacts, w, actuation, self.cone, self.objective, self.name, self.source, self.uncertainty)
         if w is None:
@@ -362,53 +361,3 @@ def _check_uncertainty(problem: ForceProblem, uncertainty: Uncertainty) -> None:
         uncertainty.check(problem.contacts, 0 if problem.actuation is None else len(problem.actuation.tau_u))
     except InvalidInput as error:
         raise error.with_prefix("uncertainty") from None
-
-
-def _with_contact_values(
-    contacts: ContactSet,
-    mu: npt.ArrayLike | None,
-    p: npt.ArrayLike | None,
-    R: npt.ArrayLike | None,
-    normal_limits: npt.ArrayLike | None,
-) -> ContactSet:
-    """Return the contacts with new friction, positions, frames or limits of the normal forces."""
-    count = len(contacts)
-    new_mu, gamma = contacts.mu, contacts.gamma
-    if mu is not None:
-        has_gamma = _has_two_dimensions(mu)
-        new_mu = arrays.check_array(mu, "mu", (2, count) if has_gamma else (count,), minimum=0.0).copy()
-        if has_gamma:
-            new_mu, gamma = new_mu
-            gamma = arrays.freeze(np.where([model is ContactModel.SOFT for model in contacts.models], gamma, 0.0))
-        new_mu[[model is ContactModel.FRICTIONLESS for model in contacts.models]] = 0.0
-    new_p = contacts.p_OC if p is None else arrays.check_array(p, "p", (count, 3))
-    new_R = contacts.R_OC if R is None else arrays.check_array(R, "R", (count, 3, 3))
-    if R is not None:
-        skewed = np.abs(new_R.transpose(0, 2, 1) @ new_R - np.eye(3)).max(axis=(1, 2)) > _ROTATION_TOLERANCE
-        for i in np.flatnonzero(skewed | (np.linalg.det(new_R) < 0)):
-            raise InvalidInput(f"R[{i}]", new_R[i], "a rotation matrix, its third column the inward normal")
-    limits = contacts.min_normal, contacts.max_normal
-    if normal_limits is not None:
-        limits = _check_normal_limits(normal_limits, count)
-    return ContactSet(new_p, new_R, contacts.models, arrays.freeze(new_mu), gamma, *limits)
-
-
-def _has_two_dimensions(value: npt.ArrayLike) -> bool:
-    """Return whether a value is a matrix; False for ragged lists."""
-    with contextlib.suppress(ValueError):
-        return np.ndim(value) == 2
-    return False
-
-
-def _check_normal_limits(value: npt.ArrayLike, count: int) -> tuple[Array, Array]:
-    """Return the smallest and the largest normal forces, (N,) each; the largest may be infinite."""
-    unlimited = np.zeros((2, count), dtype=bool)
-    with contextlib.suppress(ValueError):  # no rectangular array: the check below raises the error
-        given = np.asarray(value)
-        if given.shape == (2, count) and given.dtype.kind == "f":
-            unlimited[1] = given[1] == np.inf
-            value = np.where(unlimited, 0.0, given)
-    lower, upper = np.where(unlimited, np.inf, arrays.check_array(value, "normal_limits", (2, count), minimum=0.0))
-    for i in np.flatnonzero(lower > upper):
-        raise InvalidInput(f"normal_limits[0][{i}]", float(lower[i]), f"at most the largest normal force, {upper[i]:g}")
-    return arrays.freeze(lower), arrays.freeze(upper)
