@@ -106,7 +106,8 @@ def compare(limit: NormalLimit, count: int) -> tuple[str, ...]:
         limit: "sum" or "each".
         count: number of closed grasps.
     """
-    rng, errors, opened, wrong, is_sum = np.random.default_rng(17), [], 0, 0, limit == "sum"
+    rng, opened, wrong, is_sum = np.random.default_rng(17), 0, 0, limit == "sum"
+    errors: list[float] = []
     while len(errors) < count:
         some = rng.integers(3, 6)
         contacts = contacts_around_object(rng, int(some), models=("point", "soft")) if is_sum else three_contacts(rng)

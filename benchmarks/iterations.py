@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 import graspforce as gf
 from benchmarks import report_page
@@ -182,7 +183,7 @@ def is_certified(problem: gf.ForceProblem, solution: gf.Solution) -> bool:
     return bool(len(solution.f)) and certify(problem, solution.f, solution.multipliers).is_tight
 
 
-def solve_group(task: tuple[int, int, int, int], failures: Failures) -> tuple[str, Array]:
+def solve_group(task: tuple[int, int, int, int], failures: Failures) -> tuple[str, npt.NDArray[np.int64]]:
     """Return kind and numbers of problems by iterations, and add the failures.
 
     Args:
@@ -211,7 +212,7 @@ def solve_group(task: tuple[int, int, int, int], failures: Failures) -> tuple[st
     failed = np.flatnonzero(~(((report["status"] <= 1) & (worst <= 1e-8)) | is_proven))
     for i in failed:
         failures.add(problem(made, int(i)))
-    return made.kind, np.bincount(report["iterations"], minlength=LARGEST + 1)
+    return made.kind, np.bincount(report["iterations"], minlength=LARGEST + 1).astype(np.int64)
 
 
 def solve_piece(task: Task) -> Record:
