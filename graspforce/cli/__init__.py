@@ -25,12 +25,14 @@ from graspforce.cli.commands import (
     plan,
     problems,
     regrasp,
+    replay,
     secure,
     serve,
     simulate,
     solve,
     top,
     view,
+    watch,
 )
 from graspforce.cli.console import INTERRUPTED, USAGE, print_error
 from graspforce.core.errors import GraspForceError
@@ -63,6 +65,8 @@ for commands in (
     cycle,
     regrasp,
     view,
+    replay,
+    watch,
 ):
     app.add_typer(commands.app)
 

@@ -37,6 +37,7 @@ LIBRARIES = {
     "PIL": OptionalLibrary("Pillow", "films", "sim"),
     "viser": OptionalLibrary("viser", "browser views", "view"),
     "foxglove": OptionalLibrary("foxglove-sdk", "MCAP files", "record"),
+    "mcap": OptionalLibrary("mcap", "recordings of servers", "record"),
     "trimesh": OptionalLibrary("trimesh", "mesh files", "mesh"),
     "cryptography": OptionalLibrary("cryptography", "certificates for TLS", "secure"),
     "prometheus_client": OptionalLibrary("prometheus-client", "metrics", "metrics"),

@@ -11,6 +11,7 @@
 - `contact_friction`: friction coefficient of each finger, with bounds
 - `payload`: mass, centre of mass and external wrench
 - `grasp_monitor`: forces, slip, friction and payload in one step
+- `motor_share`, `twin`: the motion against the model, and drift
 
 The estimator loads Pinocchio and SciPy at first use.
 """

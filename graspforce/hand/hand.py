@@ -200,6 +200,12 @@ class Hand(HandKinematics):
     # ── description ────────────────────────────────────────────────────────────────────────────────────────────────────────
 
     @property
+    def file(self) -> str:
+        """Name of the shipped hand, or path of the description file, from which `Hand.load` loads it."""
+        path = self._files.path
+        return path.stem if path.parent == descriptions.MODELS_FOLDER else str(path.absolute())
+
+    @property
     def urdf_path(self) -> Path:
         """Path of the URDF file, without the inertias that the description replaces."""
         return self._files.urdf_path

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextvars
 import math
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -39,11 +39,12 @@ class ExactControl:
 
     Args:
         setup: fixed parameters of the stream.
+        changes: runs the preparations of changes; None for the thread of all streams of this process.
     """
 
-    def __init__(self, setup: StreamSetup) -> None:
+    def __init__(self, setup: StreamSetup, changes: Executor | None = None) -> None:
         self._control = GraspControl.start(setup.grasp, setup.settings, setup.memory)
-        self._hand = setup.grasp.hand
+        self._hand, self._changes = setup.grasp.hand, changes or _PREPARATIONS
         self._has_drive = not self._hand.drives.is_ideal
         self._has_heat = self._hand.drives.has_thermal_data
         self._clearance_steps = setup.settings.clearance_steps
@@ -119,7 +120,7 @@ class ExactControl:
         except InvalidInput as error:
             self._refused = given.number
             raise error.with_prefix("contacts") from None
-        prepared = _PREPARATIONS.submit(make_silent_context().run, self._control.prepare, given.change, state)
+        prepared = self._changes.submit(make_silent_context().run, self._control.prepare, given.change, state)
         self._preparation = _Preparation(given.number, prepared)
 
     def _begin_prepared(self, state: GraspState) -> tuple[int, GraspControl]:

@@ -20,6 +20,7 @@ attachment of a query identifies its client (`graspforce.service.server.client_s
 from __future__ import annotations
 
 import atexit
+import dataclasses
 import logging
 import os
 import queue
@@ -27,12 +28,15 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import zenoh
 from zenoh.handlers import Callback
 
 from graspforce.core.errors import ServiceError
 from graspforce.hand.hand import Hand
+from graspforce.service.recording.exchange import REQUEST, recorded
+from graspforce.service.recording.recorder import Recorder
 from graspforce.service.server.client_sessions import OTHERS, ClientSessions
 from graspforce.service.server.configuration import REPLICA_LEASE, check_endpoints, server_configuration
 from graspforce.service.server.deadline import Deadline
@@ -63,6 +67,7 @@ _MAX_CANCEL_TRIES = 256  # of a cancellation that may be ahead of its plan
 _IDLE_CHECK_FRACTION = 0.25  # period of the check for idle streams as a fraction of the idle timeout
 _GRACE = 5.0  # s, to answer the waiting requests at the end
 _PLANNERS_DELAY = 2.0  # s after the start, until the planning processes start
+_RECORDING_TIME = 5.0  # s, to complete the recording; another process then writes the rest
 _REFUSAL_TIME = 0.2  # s after the deadline of an end, to send refusals
 _OVERLOADED = "the request queue is full: ask again later"
 _CLOSING = protocol.CLOSING_MESSAGE
@@ -93,6 +98,7 @@ class Server:
         worker_processes: answer small and large requests in processes, one for each thread, so that they do not delay streams.
         lease: time without a sign of life after which clients and routers give up the server, and the server its streams, s; by
             default `REPLICA_LEASE` with `connect`, otherwise Zenoh's 10 s, and the server keeps its streams.
+        record: MCAP file in which to record requests, states and replies; an existing file is replaced. None for none.
 
     Raises:
         UnknownName: a hand does not exist.
@@ -116,6 +122,7 @@ class Server:
         connect: Sequence[str] = (),
         worker_processes: bool = False,
         lease: float | None = None,
+        record: str | os.PathLike[str] | None = None,
     ) -> None:
         self.id = uuid.uuid4().hex
         self._hands = loaded = [hand if isinstance(hand, Hand) else Hand.load(hand) for hand in hands]
@@ -139,6 +146,7 @@ class Server:
         self._queue_options = QueueOptions(solver_threads, large_threads, capacity, self._limits.queue_bytes)
         self._worker_processes = worker_processes
         self._workers: dict[CostClass, RequestWorkers] = {}
+        self._recorder = None if record is None else Recorder(Path(record))
         self._session: zenoh.Session | None = None
         self._closing = threading.Event()
 
@@ -163,6 +171,8 @@ class Server:
             raise ServiceError(f"cannot listen on {address}: {reason}{hint}") from None
         self._session = session
         self.addresses = find_addresses(session, self._config)
+        if self._recorder is not None:
+            self._recorder.start(self._hands, dataclasses.asdict(self._limits))
         if self._worker_processes:
             self._workers = self._queue_options.start_workers(self._hands, self._limits)
         self._lease.start()
@@ -210,6 +220,8 @@ class Server:
         self._idle_thread.join()
         self._session = None
         session.close()
+        if self._recorder is not None:
+            self._recorder.close(_RECORDING_TIME)
         atexit.unregister(self.close)
 
     def load(self) -> ServerLoad:
@@ -275,15 +287,15 @@ class Server:
 
         def answer(reply: Reply) -> None:
             with query:
-                send_reply(query, key, reply)
+                self._send(item, key, reply)
 
         self._handler.plans.begin(key, *read_query(query), answer, item.received, self._session_of(item))
 
     def _answer(self, item: QueuedQuery) -> None:
         """Answer a query, and one for several schemas with several replies."""
-        with item.query as query:
+        with item.query:
             for key in matching_keys(item.key):
-                send_reply(query, key, self._reply(key, item))
+                self._send(item, key, self._reply(key, item))
 
     def _reply(self, key: str, item: QueuedQuery) -> Reply:
         """Return the reply to a query for a key, from a worker process if the query's class has them."""
@@ -311,14 +323,20 @@ class Server:
         """Refuse a query."""
         with item.query as query:
             payload, encoding = read_query(query, MAX_PARSED_BYTES)
-            send_reply(query, item.key, self._handler.refuse(item.key, payload, encoding, code, message, retry_after))
+            self._send(item, item.key, self._handler.refuse(item.key, payload, encoding, code, message, retry_after))
+
+    def _send(self, item: QueuedQuery, key: str, reply: Reply) -> None:
+        """Record a query and its reply for a key, and send the reply. So the opening of a stream is before its states."""
+        if self._recorder is not None:
+            self._recorder.offer(recorded(REQUEST, key, item.received, read_query(item.query), reply))
+        send_reply(item.query, key, reply)
 
     # ── streams and plans ────────────────────────────────────────────────────────────────────────────────────────────────
 
     def _open_channel(self, stream: ServerStream) -> None:
         """Connect a new stream to the network."""
         assert self._session is not None  # only a query opens a stream
-        self._channels[stream.id] = StreamChannel(self._session, stream, lambda: self._lease.holds)
+        self._channels[stream.id] = StreamChannel(self._session, stream, lambda: self._lease.holds, self._recorder)
 
     def _close_channel(self, stream: ServerStream) -> None:
         """Disconnect a closed stream from the network."""

@@ -6,6 +6,7 @@ import hmac
 import secrets
 import time
 from collections import Counter
+from concurrent.futures import Executor
 from typing import Any, Protocol
 
 import msgspec
@@ -70,16 +71,19 @@ class ServerStream:
         setup: fixed parameters.
         owner: session of the client that opened it.
         proof: proofs of its client in the request that opened it. Repeated, they prove the opening if its answer got lost.
+        changes: runs the preparations of contact changes; None for a thread of the server.
     """
 
-    def __init__(self, id: str, setup: AnySetup, owner: bytes = b"", proof: object = None) -> None:
+    def __init__(
+        self, id: str, setup: AnySetup, owner: bytes = b"", proof: object = None, *, changes: Executor | None = None
+    ) -> None:
         self.id, self.setup, self.owner = id, setup, owner
         self._claims = tuple(each.encode() for each in _read_proofs(proof))
         self.outcomes: Counter[str] = Counter()
         self.skipped = self.late = 0
         self.latency = LatencyHistogram()
         self.last_received = time.perf_counter()
-        self._control = _make_control(setup)
+        self._control = _make_control(setup, changes)
         self.key = make_key() if setup.authenticated else None
         self.epoch = None if setup.authenticated else secrets.token_bytes(_EPOCH_BYTES)
         self._verifier = None if self.key is None else MessageVerifier(self.key, STATE)
@@ -218,13 +222,13 @@ class _Control(Protocol):
         """Return the command for a state."""
 
 
-def _make_control(setup: AnySetup) -> _Control:
+def _make_control(setup: AnySetup, changes: Executor | None) -> _Control:
     """Return the controller of a stream."""
     if isinstance(setup, PhaseStreamSetup):
         return PhaseControl(setup)
     if isinstance(setup, JointStreamSetup):
         return JointControl(setup)
-    return ExactControl(setup) if setup.sensors is None else _MeasuredControl(setup)
+    return ExactControl(setup, changes) if setup.sensors is None else _MeasuredControl(setup)
 
 
 class _MeasuredControl:

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Callable
 
 import zenoh
 from zenoh.handlers import RingChannel
 
+from graspforce.service.recording.exchange import STATE, recorded
+from graspforce.service.recording.recorder import Recorder
 from graspforce.service.server.server_stream import ServerStream
 from graspforce.service.wire import protocol
 from graspforce.service.wire.reply import Reply, make_error_reply
@@ -32,11 +35,18 @@ class StreamChannel:
         stream: the stream.
         may_answer: whether the server may still answer states, checked before each command
             (`graspforce.service.server.process_lease`).
+        recorder: records the states and commands; None for none.
     """
 
-    def __init__(self, session: zenoh.Session, stream: ServerStream, may_answer: Callable[[], bool] = lambda: True) -> None:
+    def __init__(
+        self,
+        session: zenoh.Session,
+        stream: ServerStream,
+        may_answer: Callable[[], bool] = lambda: True,
+        recorder: Recorder | None = None,
+    ) -> None:
         key = f"{protocol.PREFIX}/streams/{stream.id}"
-        self._stream, self._may_answer = stream, may_answer
+        self._stream, self._may_answer, self._recorder = stream, may_answer, recorder
         self._commands = session.declare_publisher(f"{key}/command", congestion_control=zenoh.CongestionControl.DROP)
         self._states = session.declare_subscriber(f"{key}/state", RingChannel(1 if stream.key is None else _RING_SIZE))
         self._thread = threading.Thread(target=self._run, name=f"stream-{stream.id}", daemon=True)
@@ -65,9 +75,12 @@ class StreamChannel:
                 return
             if sample is None:
                 continue
-            reply = command(sample.payload.to_bytes(), str(sample.encoding))
+            payload, encoding, received = sample.payload.to_bytes(), str(sample.encoding), time.perf_counter()
+            reply = command(payload, encoding, received)
             if self._may_answer():
                 self._put(reply)
+            if self._recorder is not None:
+                self._recorder.offer(recorded(STATE, self._stream.id, received, (payload, encoding), reply))
 
     def _receive_genuine(self) -> zenoh.Sample | None:
         """Wait for states, and return the newest genuine one, or None.

@@ -117,16 +117,16 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
             raise InvalidInput("state", "a state beside a measurement", "absent, or without `measurement`")
         state: GraspState | Measurement
         if values.get("state") is None:
-            state = Measurement.from_dict(_to_lists(given), "measurement")
+            state = Measurement.from_dict(to_lists(given), "measurement")
         else:
-            state = GraspState.from_dict(_to_lists(given), hand.n, "state")
+            state = GraspState.from_dict(to_lists(given), hand.n, "state")
         conditions, fingers = _read_conditions(values.get("conditions"))
         return cls(
             fields.check_integer(values["sequence"], "sequence", minimum=0, maximum=protocol.LARGEST_SEQUENCE),
             arrays.check_number(values["time"], "time"),
             state,
-            desired_from_dict(_to_lists(values["desired"]), hand.n, "desired"),
-            read_external(_to_lists(values.get("external"))),
+            desired_from_dict(to_lists(values["desired"]), hand.n, "desired"),
+            read_external(to_lists(values.get("external"))),
             conditions,
             isinstance(given["posture"], bytes),
             _read_change(values.get("contacts"), hand),
@@ -280,7 +280,7 @@ def _read_conditions(record: object) -> tuple[ContactConditions | None, tuple[st
 
 def _read_change(record: object, hand: Hand) -> NumberedChange | None:
     """Return the change of a record, or None."""
-    return None if record is None else NumberedChange.from_dict(_to_lists(record), hand)
+    return None if record is None else NumberedChange.from_dict(to_lists(record), hand)
 
 
 def _conditions_to_dict(state: StreamState) -> JsonRecord | None:
@@ -352,12 +352,17 @@ def _to_binary_record(state: StreamState) -> _StateRecord[bytes, bytes]:
     return _StateRecord(state.sequence, state.time, grasp_state, desired, external, _conditions_to_dict(state), change)
 
 
-def _to_lists(value: Any, name: str = "") -> Any:
-    """Return a record with lists in place of binary arrays. Other bytes are kept, and fail a later check."""
+def to_lists(value: Any, name: str = "") -> Any:
+    """Return a record with lists in place of binary arrays. Other bytes are kept, and fail a later check.
+
+    Args:
+        value: the record, or a part of it.
+        name: field of the part: it determines the shape of a matrix.
+    """
     if isinstance(value, Mapping):
-        return {name: _to_lists(item, name) for name, item in value.items()}
+        return {name: to_lists(item, name) for name, item in value.items()}
     if isinstance(value, list) and value and isinstance(value[0], Mapping):
-        return [_to_lists(item) for item in value]
+        return [to_lists(item) for item in value]
     if not isinstance(value, bytes) or len(value) % _FLOAT_BYTES:
         return value
     numbers, shape = np.frombuffer(value), _MATRIX_SHAPES.get(name, (-1,))

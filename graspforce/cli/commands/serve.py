@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from graspforce.cli.commands.output_arguments import AsJson
+from graspforce.cli.commands.output_arguments import AsJson, Force
 from graspforce.cli.completions import complete_hand
 
 if TYPE_CHECKING:
@@ -83,6 +83,11 @@ def serve(
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="Setting of the node, such as rate=500 or namespace=/left; repeatable."),
     ] = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Record requests, states and replies as .mcap, for `graspforce replay`."),
+    ] = None,
+    force: Force = False,
     print_config: Annotated[
         bool, typer.Option("--print-config", help="Print the Zenoh configuration with all defaults, and stop.")
     ] = False,
@@ -98,8 +103,10 @@ def serve(
 
         print(show_configuration(server_configuration(config, listen, secure, connect or (), lease)))
         return
+    from graspforce.cli.output_files import check_new_file
     from graspforce.service.server.log_format import configure_logging
 
+    check_new_file(record, "--record", force)
     configure_logging(log_level, log_format)
     hands = hand or []
     attach = None if ros2 is None else _ros2_node(ros2, grasp, ros2_setting or (), hands, insecure)
@@ -124,6 +131,7 @@ def serve(
         connect=connect or (),
         worker_processes=worker_processes,
         lease=lease,
+        record=record,
     )
     run_server(
         server, ServeOptions(on_ready=ready, metrics=metrics, attach=attach, watch=hands if watch else (), end_process=True)

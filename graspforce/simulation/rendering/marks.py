@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from graspforce.contact import friction
 from graspforce.contact.motion import BodyMotion
+from graspforce.contact.use_colour import friction_use, use_colour
 from graspforce.core.arrays import Array, freeze
 from graspforce.simulation.plants.plant import Plant
 from graspforce.simulation.plants.scene import Scene, set_posture
@@ -24,8 +25,6 @@ _ARROW_RADIUS, _PUSH_RADIUS = 0.067, 0.11  # over the height of the cones
 _PUSH_LENGTH = 2.1  # over the height of the cones
 _LENGTH_EXPONENT = 0.6  # of arrows over the force: 10 times the force is 4 times as long
 _TYPICAL_FORCE = 2.0  # in weights of the object: its arrow is as long as the cones are high
-_COLOURS = np.array([[0.0, 0.62, 0.45], [0.95, 0.72, 0.0], [0.84, 0.15, 0.0]])  # safe for colour-blind readers
-_STOPS = np.array([0.35, 0.75, 1.0])  # friction uses of these colours
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -170,8 +169,7 @@ def contact_marks(scene: Scene, contacts: MarkedContacts, motion: BodyMotion) ->
     for i, finger in enumerate(grasp.fingers):
         f, mu = contacts.f[i], float(contacts.mu[i])
         R_HC = motion.R_HO @ contacts.R_OC[i]
-        norm, bound = float(np.linalg.norm(f[:3])), mu * f[2]
-        use = float(np.clip(1.0 - margins[i] / bound, 0.0, 1.0)) if bound > 0.0 else float(mu > 0.0)
+        norm, use = float(np.linalg.norm(f[:3])), friction_use(float(margins[i]), mu, float(f[2]))
         length = height * (norm / (_TYPICAL_FORCE * weight)) ** _LENGTH_EXPONENT
         marks.append(
             ContactMark(
@@ -208,18 +206,6 @@ def push_mark(plant: Plant) -> PushMark | None:
     height = _cone_height(plant.scene)
     end = motion.p_HO + motion.R_HO @ surface
     return PushMark(end, _PUSH_LENGTH * height * direction, _PUSH_RADIUS * height, size)
-
-
-def use_colour(use: float) -> Array:
-    """Return the colour of a friction use: green far from the cone's edge, amber near it, red on it.
-
-    Args:
-        use: friction use, 0 to 1.
-
-    Returns:
-        (3,) red, green, blue, 0 to 1.
-    """
-    return np.array([np.interp(use, _STOPS, _COLOURS[:, k]) for k in range(3)])
 
 
 def _cone_height(scene: Scene) -> float:

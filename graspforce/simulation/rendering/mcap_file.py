@@ -21,23 +21,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from graspforce.contact import friction
-from graspforce.core.arrays import Array
+from graspforce.core import foxglove_messages as fox
 from graspforce.core.optional_libraries import optional_imports
 from graspforce.core.whole_file import replace_file
 from graspforce.simulation.plants.scene import Scene
 from graspforce.simulation.recordings.recording import Recording
 from graspforce.simulation.rendering.display_model import DisplayModel
-from graspforce.simulation.rendering.marks import ContactMark, recorded_state
+from graspforce.simulation.rendering.marks import recorded_state
 from graspforce.simulation.rendering.part_meshes import PartMesh, part_meshes
 
 _FRAME = "hand"  # name of the frame H
 _PICTURE_PERIOD = 0.02  # s
-_CONE_OPACITY, _OBJECT_OPACITY = 0.45, 0.6
-_HEAD = 4.4  # diameter and length of an arrow's head, over the diameter of its shaft
-_NANO = 1e9
+_OBJECT_OPACITY = 0.6
 _CONTACTS_SCHEMA = {
     "title": "graspforce.Contacts",
     "type": "object",
@@ -119,9 +116,9 @@ class _Writer:
                 frame_locked=True,
                 triangles=[
                     m.TriangleListPrimitive(
-                        pose=self._pose_of(np.zeros(3), np.eye(3)),
+                        pose=fox.pose(np.zeros(3), np.eye(3)),
                         points=[m.Point3(x=x, y=y, z=z) for x, y, z in part.vertices.tolist()],
-                        color=self._colour(part.colour, _OBJECT_OPACITY if part.is_object else 1.0),
+                        color=fox.colour(part.colour, _OBJECT_OPACITY if part.is_object else 1.0),
                         indices=part.faces.ravel().tolist(),
                     )
                 ],
@@ -140,8 +137,8 @@ class _Writer:
         lines = [(t, text) for t, text in recording.warnings]
         lines += [(t, f"{first} and {second} collide with {force:.2f} N") for t, first, second, force in recording.collisions]
         for t, text in sorted(lines):
-            message = m.Log(timestamp=self._timestamp(t), level=m.LogLevel.Warning, message=text, name=recording.hand)
-            self._log.log(message, log_time=round(_NANO * t))
+            message = m.Log(timestamp=fox.timestamp(t), level=m.LogLevel.Warning, message=text, name=recording.hand)
+            self._log.log(message, log_time=fox.log_time(t))
 
     def write_picture(self, recording: Recording, row: int) -> None:
         """Write the frames of all bodies, the object's poses, and the marks of the contacts.
@@ -153,15 +150,10 @@ class _Writer:
         m, display, t = self._m, self._display, float(recording.t[row])
         state = recorded_state(display.scene, recording, row)
         display.update(state)
-        stamp, time = self._timestamp(t), round(_NANO * t)
+        time = fox.log_time(t)
+        data = display.data
         transforms = [
-            m.FrameTransform(
-                timestamp=stamp,
-                parent_frame_id=_FRAME,
-                child_frame_id=self._frame(body),
-                translation=m.Vector3(**_xyz(display.data.xpos[body])),
-                rotation=_quaternion(m, Rotation.from_quat(display.data.xquat[body], scalar_first=True)),
-            )
+            fox.transform(t, _FRAME, self._frame(body), data.xpos[body], data.xmat[body].reshape(3, 3))
             for body in range(1, display.model.nbody)
         ]
         self._tf.log(m.FrameTransforms(transforms=transforms), log_time=time)
@@ -169,8 +161,8 @@ class _Writer:
             (self._pose, recording.p_HO[row], recording.R_HO[row]),
             (self._desired, recording.p_desired[row], recording.R_desired[row]),
         ):
-            channel.log(m.PoseInFrame(timestamp=stamp, frame_id=_FRAME, pose=self._pose_of(p, R)), log_time=time)
-        entities = [self._contact(mark, stamp) for mark in state.contacts]
+            channel.log(fox.pose_in_frame(t, _FRAME, p, R), log_time=time)
+        entities = [fox.contact_entity(t, _FRAME, mark) for mark in state.contacts]
         self._contact_marks.log(m.SceneUpdate(entities=entities), log_time=time)
 
     def write_numbers(self, recording: Recording, row: int) -> None:
@@ -180,14 +172,9 @@ class _Writer:
             recording: the recording.
             row: index of the step.
         """
-        m, t = self._m, float(recording.t[row])
-        columns = recording.q[row].tolist(), recording.v[row].tolist(), recording.tau[row].tolist()
-        joints = [
-            m.JointState(name=name, position=q, velocity=v, effort=tau)
-            for name, q, v, tau in zip(recording.joints, *columns, strict=True)
-        ]
-        time = round(_NANO * t)
-        self._joints.log(m.JointStates(timestamp=self._timestamp(t), joints=joints), log_time=time)
+        t, q, v, tau = float(recording.t[row]), recording.q[row], recording.v[row], recording.tau[row]
+        time = fox.log_time(t)
+        self._joints.log(fox.joint_states(t, recording.joints, q, v, tau), log_time=time)
         margins = friction.slip_margin(recording.f[row], recording.mu[row], recording.gamma[row]).tolist()
         forces = recording.f[row, :, 2].tolist()
         error = 1e3 * float(np.linalg.norm(recording.p_HO[row] - recording.p_desired[row]))  # mm
@@ -198,65 +185,6 @@ class _Writer:
         }
         self._contacts.log(numbers, log_time=time)
 
-    def _contact(self, mark: ContactMark, stamp: Any) -> Any:
-        """Return arrow and cone of a contact; an entity without parts if the finger does not touch."""
-        m, entity = self._m, {"timestamp": stamp, "frame_id": _FRAME, "id": mark.finger}
-        if not mark.touching:
-            return m.SceneEntity(**entity)
-        length, diameter = float(np.linalg.norm(mark.arrow)), 2.0 * mark.radius
-        head = min(_HEAD * mark.radius, 0.5 * length)  # m
-        arrow = m.ArrowPrimitive(
-            pose=self._pose_of(mark.apex, _frame_along(mark.arrow)),
-            shaft_length=length - head,
-            shaft_diameter=diameter,
-            head_length=head,
-            head_diameter=_HEAD * mark.radius,
-            color=self._colour(mark.colour, 1.0),
-        )
-        width = 2.0 * mark.mu * mark.height  # m
-        cone = m.CylinderPrimitive(
-            pose=self._pose_of(mark.apex + 0.5 * mark.height * mark.R_HC[:, 2], mark.R_HC),
-            size=m.Vector3(x=width, y=width, z=mark.height),
-            bottom_scale=0.0,
-            top_scale=1.0,
-            color=self._colour(mark.colour, _CONE_OPACITY),
-        )
-        return m.SceneEntity(**entity, arrows=[arrow], cylinders=[cone])
-
     def _frame(self, body: int) -> str:
         """Return the name of a body's frame."""
         return str(self._display.model.body(body).name) if body else _FRAME
-
-    def _pose_of(self, p: Array, R: Array) -> Any:
-        """Return a pose."""
-        return self._m.Pose(position=self._m.Vector3(**_xyz(p)), orientation=_quaternion(self._m, Rotation.from_matrix(R)))
-
-    def _colour(self, colour: Array, opacity: float) -> Any:
-        """Return a colour."""
-        red, green, blue = colour.tolist()
-        return self._m.Color(r=red, g=green, b=blue, a=opacity)
-
-    def _timestamp(self, t: float) -> Any:
-        """Return a time, s."""
-        seconds, nanoseconds = divmod(round(_NANO * t), round(_NANO))
-        return self._m.Timestamp(seconds, nanoseconds)
-
-
-def _xyz(p: Array) -> dict[str, float]:
-    """Return coordinates by name."""
-    return dict(zip("xyz", np.asarray(p).tolist(), strict=True))
-
-
-def _quaternion(m: Any, rotation: Rotation) -> Any:
-    """Return a quaternion."""
-    x, y, z, w = rotation.as_quat().tolist()
-    return m.Quaternion(x=x, y=y, z=z, w=w)
-
-
-def _frame_along(direction: Array) -> Array:
-    """Return a frame whose first axis has a direction; arrows point along it."""
-    norm = float(np.linalg.norm(direction))
-    x = direction / norm if norm > 0.0 else np.array([1.0, 0.0, 0.0])
-    y = np.cross(np.eye(3)[int(np.argmin(np.abs(x)))], x)
-    y /= np.linalg.norm(y)
-    return np.column_stack([x, y, np.cross(x, y)])

@@ -9,8 +9,9 @@ import numpy as np
 from PIL import Image as PillowImage
 from PIL import ImageDraw, ImageFont
 
+from graspforce.contact.use_colour import use_colour
 from graspforce.simulation.rendering.display_model import Image
-from graspforce.simulation.rendering.marks import ContactMark, SceneState, use_colour
+from graspforce.simulation.rendering.marks import ContactMark, SceneState
 
 COVERED = 0.27  # part of the frame's width under the panel
 

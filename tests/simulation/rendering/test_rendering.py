@@ -14,6 +14,7 @@ from support.allegro_grasp import PALM_UP, three_finger_grasp
 from support.hands import SHIPPED_HANDS, load
 
 from graspforce import InvalidInput
+from graspforce.contact.use_colour import use_colour
 from graspforce.geometry import Sphere
 from graspforce.grasp.body import Body
 from graspforce.grasp.search import GraspSearchOptions, find_grasp, relax_idle_fingers
@@ -29,7 +30,7 @@ from graspforce.simulation.rendering import (
 )
 from graspforce.simulation.rendering.camera import CameraOptions, CameraView
 from graspforce.simulation.rendering.mark_painter import arrow_facets, cone_facets, paint_marks
-from graspforce.simulation.rendering.marks import push_mark, use_colour
+from graspforce.simulation.rendering.marks import push_mark
 from graspforce.simulation.rendering.overlay import COVERED
 from graspforce.simulation.rendering.tessellation import geom_triangles
 
