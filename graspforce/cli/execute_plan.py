@@ -72,4 +72,4 @@ def _film(output: RunFiles, duration: float) -> FilmOptions:
     """Return the film of an execution, in slow motion if it is shorter than `_FILM_TIME`."""
     slow_motion = max(1, round(_FILM_TIME / duration))
     subtitle = "minimum-time move" + (f", {slow_motion} × slower" if slow_motion > 1 else "")
-    return FilmOptions(output.video, output.frames, duration, subtitle=subtitle, slow_motion=slow_motion)
+    return FilmOptions(output.video, output.frames, duration, subtitle=subtitle, slow_motion=slow_motion, format=output.film)

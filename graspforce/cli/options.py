@@ -11,6 +11,7 @@ import numpy as np
 from rich.console import Console
 
 from graspforce.cli.drive_options import parse_drive
+from graspforce.cli.film_format import FilmFormat
 from graspforce.cli.output_files import check_new_file, check_new_folder
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
@@ -138,6 +139,7 @@ class RunFiles:
         frames: directory of the film's frames.
         plots: directory of the plots.
         force: whether existing files are replaced; pictures in directories always are.
+        film: size, rate and viewpoint of the film.
 
     Raises:
         InvalidInput: a file or a directory cannot be written.
@@ -147,6 +149,7 @@ class RunFiles:
     frames: Path | None = None
     plots: Path | None = None
     force: bool = True
+    film: FilmFormat = field(default_factory=FilmFormat)
 
     def __post_init__(self) -> None:
         check_new_file(self.video, "--video", self.force)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 from rich.console import Console
 from rich.progress import track
 
 from graspforce.cli.console import progress_console
+from graspforce.cli.options import RunFiles
 from graspforce.simulation.plants.plant import Plant
 from graspforce.simulation.rendering import (
     CameraOptions,
@@ -22,7 +22,6 @@ from graspforce.simulation.rendering import (
 from graspforce.simulation.rendering.film import ANIMATIONS
 from graspforce.simulation.rendering.overlay import COVERED
 
-_FILM_SIZE = (1280, 720)  # pixels
 _SWING = 0.15  # rad, of the film's camera
 _ROUNDING = 1e-6  # of a frame: sums of time steps
 
@@ -32,8 +31,7 @@ class PhaseFilm:
 
     Args:
         subtitle: what the film shows.
-        video: file of the film; None for none.
-        frames: directory of the frames; None for none.
+        files: film, frames and format.
         console: shows the renderer, the progress and the files.
         view: the camera's elevation and radius; by default it shows the whole hand.
     """
@@ -41,14 +39,14 @@ class PhaseFilm:
     def __init__(
         self,
         subtitle: str,
-        video: Path | None,
-        frames: Path | None,
+        files: RunFiles,
         console: Console,
         view: CameraOptions | None = None,
     ) -> None:
-        self._subtitle, self._video, self._frames, self._console = subtitle, video, frames, console
+        self._subtitle, self._video, self._frames, self._console = subtitle, files.video, files.frames, console
+        self._format = files.film
         self._view = CameraOptions() if view is None else view
-        self._writer = FilmWriter(video, frames)
+        self._writer = FilmWriter(files.video, files.frames, files.film.rate, files.film.width)
         self._states: list[tuple[SceneState, str]] = []
         self._plant: Plant | None = None
 
@@ -68,14 +66,14 @@ class PhaseFilm:
         if self._plant is None:
             return
         scene = self._plant.scene
-        frame = {"aspect": _FILM_SIZE[0] / _FILM_SIZE[1], "covered": COVERED, "swing": _SWING, "period": self._states[-1][0].t}
-        camera = replace(self._view, **frame)
+        form, period = self._format, self._states[-1][0].t
+        camera = form.camera(replace(self._view, covered=COVERED, swing=_SWING, period=period))
         display = DisplayModel(scene, camera=camera)
-        renderer = make_renderer(display, *_FILM_SIZE)
+        renderer = make_renderer(display, *form.size)
         self._console.print(f"Film: {renderer.description}.", soft_wrap=True)
         is_compact = self._video is not None and self._video.suffix.lower() in ANIMATIONS
         title = scene.grasp.hand.title.partition(":")[0]
-        overlay = Overlay(title, self._subtitle, *_FILM_SIZE, is_compact=is_compact)
+        overlay = Overlay(title, self._subtitle, *form.size, is_compact=is_compact)
         with self._writer:
             for state, phase in track(self._states, "Rendering", console=progress_console()):
                 self._writer.add(overlay.paint(renderer.render(state), state, phase))

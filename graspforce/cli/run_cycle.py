@@ -223,7 +223,7 @@ def _simulate(
         task = bar.add_task("approach")
         film = None
         if output.video or output.frames:
-            film = PhaseFilm("a grasp cycle, from measurements", output.video, output.frames, console)
+            film = PhaseFilm("a grasp cycle, from measurements", output, console)
 
         interruption = stack.enter_context(Interruption())
 

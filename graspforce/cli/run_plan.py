@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -17,6 +17,7 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from graspforce.cli.console import ERROR, INFEASIBLE, SUCCESS
+from graspforce.cli.film_format import FilmFormat
 from graspforce.cli.json_output import put_result
 from graspforce.cli.options import GraspOptions, RunFiles, parse_vector
 from graspforce.cli.output_files import check_new_file, check_new_folder
@@ -144,6 +145,7 @@ class PlanOutput:
     video: Path | None = None
     frames: Path | None = None
     force: bool = True
+    film: FilmFormat = field(default_factory=FilmFormat)
 
     def __post_init__(self) -> None:
         for path, option in ((self.video, "--video"), (self.frames, "--frames")):
@@ -234,7 +236,7 @@ def run(options: PlanOptions, output: PlanOutput, console: Console, connect: str
         return _print_failure(pace, console)
     from graspforce.cli.execute_plan import execute
 
-    files = RunFiles(output.video, output.frames, output.plots)
+    files = RunFiles(output.video, output.frames, output.plots, film=output.film)
     is_executed = execute(pace, grasp, settings, files, console)
     put_result(console, {**result, "is_executed": is_executed})
     return SUCCESS if is_executed else ERROR

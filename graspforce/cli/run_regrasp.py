@@ -171,7 +171,7 @@ def _simulate(plan: RegraspPlan, output: RunFiles, console: Console) -> RegraspR
     if output.video or output.frames:
         size = float(np.linalg.norm(grasp.contacts.p_OC, axis=1).max())  # m, from the middle of the object
         view = CameraOptions(elevation=_ELEVATION, radius=_VIEW * size)
-        film = PhaseFilm("finger steps, forces certified", output.video, output.frames, console, view)
+        film = PhaseFilm("finger steps, forces certified", output, console, view)
     with ExitStack() as stack:
         bar = stack.enter_context(_progress(console))
         task = bar.add_task("Executing", total=len(plan.stages))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from graspforce import simulation
+from graspforce.cli.film_format import FilmFormat
 from graspforce.cli.heat_tables import heat_record, heat_table
 from graspforce.cli.interruption import Interruption
 from graspforce.cli.json_output import put_result
@@ -105,6 +106,7 @@ class SimulateOutput:
         plots: directory of the plots.
         record: MCAP file of the recording.
         force: whether existing files are replaced; pictures in directories always are.
+        film: size, rate and viewpoint of the film.
 
     Raises:
         InvalidInput: another view, no display for a window, or a file or a directory cannot be written.
@@ -117,6 +119,7 @@ class SimulateOutput:
     plots: Path | None
     record: Path | None = None
     force: bool = True
+    film: FilmFormat = field(default_factory=FilmFormat)
 
     def __post_init__(self) -> None:
         if self.view is not None:
@@ -258,7 +261,7 @@ def _callbacks(
 ) -> list[StepCallback]:
     """Return the callbacks of film, viewer and progress bar; the stack closes them."""
     callbacks: list[StepCallback] = []
-    film = FilmOptions(output.video, output.frames, options.duration, options.meshes)
+    film = FilmOptions(output.video, output.frames, options.duration, options.meshes, format=output.film)
     if film.is_wanted:
         callbacks.append(stack.enter_context(film_callback(plant, film, console)))
     if output.view == "window":

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn, track
 
 from graspforce.cli.console import progress_console
+from graspforce.cli.film_format import FilmFormat
 from graspforce.simulation import ControllerCommand, Plant, PlantInterface
 from graspforce.simulation.rendering import (
     CameraOptions,
@@ -30,7 +31,6 @@ from graspforce.simulation.rendering.overlay import COVERED
 StepCallback = Callable[[Plant, ControllerCommand], None]
 ProgressCallback = Callable[[PlantInterface, ControllerCommand], None]  # also a StepCallback
 
-_FILM_SIZE = (1280, 720)  # pixels
 _SWING = 0.30  # rad, of the film's camera
 _ROUNDING = 1e-6  # of a frame: sums of time steps
 _PROGRESS_STEPS, _VIEWER_STEPS = 20, 16  # steps between two updates
@@ -85,6 +85,7 @@ class FilmOptions:
         directories: directories to search for mesh files.
         subtitle: second line of the panel.
         slow_motion: seconds of the film for each second of the simulation.
+        format: size, rate and viewpoint.
     """
 
     video: Path | None
@@ -93,6 +94,7 @@ class FilmOptions:
     directories: tuple[Path, ...] = ()
     subtitle: str = "forces certified at 1 kHz"
     slow_motion: float = 1.0
+    format: FilmFormat = field(default_factory=FilmFormat)
 
     @property
     def is_wanted(self) -> bool:
@@ -111,9 +113,9 @@ def film_callback(plant: Plant, options: FilmOptions, console: Console) -> Itera
         options: files and contents of the film.
         console: shows the renderer, the progress and the files.
     """
-    camera = CameraOptions(_FILM_SIZE[0] / _FILM_SIZE[1], COVERED, _SWING, options.duration)
+    camera = options.format.camera(CameraOptions(covered=COVERED, swing=_SWING, period=options.duration))
     display = DisplayModel(plant.scene, directories=options.directories, camera=camera)
-    writer = FilmWriter(options.video, options.frames)
+    writer = FilmWriter(options.video, options.frames, options.format.rate, options.format.width)
     rate = writer.rate * options.slow_motion  # frames per simulated second
     states: list[tuple[SceneState, float]] = []
 
@@ -122,11 +124,11 @@ def film_callback(plant: Plant, options: FilmOptions, console: Console) -> Itera
             states.append((capture_state(plant), float(np.linalg.norm(command.error[:3]))))
 
     yield callback
-    renderer = make_renderer(display, *_FILM_SIZE)
+    renderer = make_renderer(display, *options.format.size)
     console.print(f"Film: {renderer.description}.", soft_wrap=True)
     is_compact = options.video is not None and options.video.suffix.lower() in ANIMATIONS
     title = plant.scene.grasp.hand.title.partition(":")[0]
-    overlay = Overlay(title, options.subtitle, *_FILM_SIZE, is_compact, options.slow_motion)
+    overlay = Overlay(title, options.subtitle, *options.format.size, is_compact, options.slow_motion)
     with writer:
         for state, error in track(states, "Rendering", console=progress_console()):
             writer.add(overlay.paint(renderer.render(state), state, error))

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from graspforce.cli.commands.grasp_arguments import Fingers, Friction, HandName, Mass, ObjectName, Seed
-from graspforce.cli.commands.output_arguments import AsJson, Force
+from graspforce.cli.commands.output_arguments import AsJson, FilmCamera, FilmRate, FilmSize, Force
 from graspforce.core.optional_libraries import require_libraries
 
 app = typer.Typer()
@@ -55,6 +55,9 @@ def cycle(
         Path | None, typer.Option(metavar="FILE", help="Write a film: .mp4, .gif or .webp (needs no display).")
     ] = None,
     frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the frames of the film as PNG.")] = None,
+    film_size: FilmSize = None,
+    fps: FilmRate = None,
+    film_camera: FilmCamera = None,
     plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Write plots of forces, loads and torques as PNG.")] = None,
     force: Force = False,
     as_json: AsJson = False,
@@ -71,6 +74,7 @@ def cycle(
     require_libraries("mujoco")
 
     from graspforce.cli import run_cycle
+    from graspforce.cli.film_format import parse_film_format
     from graspforce.cli.json_output import result_console
     from graspforce.cli.options import GraspOptions, RunFiles, parse_vector
     from graspforce.cli.run_simulation import service_options
@@ -89,6 +93,6 @@ def cycle(
         touch_force=touch_force,
         limits=run_cycle.parse_cycle_limits(*limits) if minimum_time else None,
     )
-    output = RunFiles(video, frames, plots, force)
+    output = RunFiles(video, frames, plots, force, parse_film_format(film_size, fps, film_camera))
     service = service_options(connect, serve)
     raise typer.Exit(0 if run_cycle.run(options, output, result_console(as_json), service) else 1)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from graspforce.cli.commands.grasp_arguments import Fingers, Friction, Gravity, HandName, Mass, ObjectName, Seed
-from graspforce.cli.commands.output_arguments import AsJson, Force
+from graspforce.cli.commands.output_arguments import AsJson, FilmCamera, FilmRate, FilmSize, Force
 from graspforce.core.optional_libraries import require_libraries
 
 app = typer.Typer()
@@ -84,6 +84,9 @@ def plan(
         Path | None, typer.Option(metavar="FILE", help="Write a film of the execution: .mp4, .gif or .webp (needs no display).")
     ] = None,
     frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the frames of the film as PNG.")] = None,
+    film_size: FilmSize = None,
+    fps: FilmRate = None,
+    film_camera: FilmCamera = None,
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
@@ -101,11 +104,13 @@ def plan(
     require_libraries(*(("mujoco",) if execute else ()), "casadi")
 
     from graspforce.cli import run_plan
+    from graspforce.cli.film_format import parse_film_format
     from graspforce.cli.json_output import result_console
     from graspforce.cli.options import GraspOptions, parse_vector
     from graspforce.cli.run_finger_plan import FingerPlanOptions, parse_tips
 
-    output = run_plan.PlanOutput(save=save, plots=plots, execute=execute, video=video, frames=frames, force=force)
+    film = parse_film_format(film_size, fps, film_camera)
+    output = run_plan.PlanOutput(save=save, plots=plots, execute=execute, video=video, frames=frames, force=force, film=film)
     limits, obstacles = run_plan.parse_limits(acceleration, joint_acceleration, jerk, joint_jerk), tuple(obstacle or [])
     if tips:
         places = tuple(parse_tips(text) for text in tips)

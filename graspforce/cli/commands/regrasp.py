@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from graspforce.cli.commands.grasp_arguments import Fingers, Friction, Gravity, HandName, Mass, ObjectName, Seed
-from graspforce.cli.commands.output_arguments import AsJson, Force
+from graspforce.cli.commands.output_arguments import AsJson, FilmCamera, FilmRate, FilmSize, Force
 from graspforce.core.optional_libraries import require_libraries
 
 app = typer.Typer()
@@ -48,6 +48,9 @@ def regrasp(
         Path | None, typer.Option(metavar="FILE", help="Write a film: .mp4, .gif or .webp (needs no display).")
     ] = None,
     frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the frames of the film as PNG.")] = None,
+    film_size: FilmSize = None,
+    fps: FilmRate = None,
+    film_camera: FilmCamera = None,
     plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Write plots of margins, errors, torques as PNG.")] = None,
     force: Force = False,
     as_json: AsJson = False,
@@ -64,6 +67,7 @@ def regrasp(
     require_libraries("mujoco")
 
     from graspforce.cli import run_regrasp
+    from graspforce.cli.film_format import parse_film_format
     from graspforce.cli.json_output import result_console
     from graspforce.cli.options import GraspOptions, RunFiles, parse_vector
 
@@ -78,5 +82,5 @@ def regrasp(
         turn=parse_vector(turn or "0,0,0", "--turn"),
         friction_error=friction_error,
     )
-    output = RunFiles(video, frames, plots, force)
+    output = RunFiles(video, frames, plots, force, parse_film_format(film_size, fps, film_camera))
     raise typer.Exit(0 if run_regrasp.run(options, output, result_console(as_json)) else 1)

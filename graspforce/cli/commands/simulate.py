@@ -18,7 +18,7 @@ from graspforce.cli.commands.grasp_arguments import (
     PadFriction,
     Seed,
 )
-from graspforce.cli.commands.output_arguments import AsJson, Force
+from graspforce.cli.commands.output_arguments import AsJson, FilmCamera, FilmRate, FilmSize, Force
 from graspforce.core.errors import InvalidInput
 from graspforce.core.optional_libraries import require_libraries
 
@@ -82,6 +82,9 @@ def simulate(
         Path | None, typer.Option(metavar="FILE", help="Write a film: .mp4, .gif or .webp (needs no display).")
     ] = None,
     frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the frames of the film as PNG.")] = None,
+    film_size: FilmSize = None,
+    fps: FilmRate = None,
+    film_camera: FilmCamera = None,
     save: Annotated[Path | None, typer.Option(metavar="FILE", help="Save the recording of all steps as .npz.")] = None,
     record: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Save the run as .mcap, with the schemas of the Foxglove viewer.")
@@ -245,6 +248,7 @@ def simulate(
         raise typer.Exit(0 if run_free.run(motion, save, plots, result_console(as_json), service) else 1)
 
     from graspforce.cli import controllers, run_campaign, run_simulation, run_world
+    from graspforce.cli.film_format import parse_film_format
     from graspforce.cli.options import GraspOptions, parse_vector
     from graspforce.cli.world_options import PRESETS, WorldOptions
     from graspforce.core import fields
@@ -267,7 +271,14 @@ def simulate(
         turn_period=turn_period,
     )
     output = run_simulation.SimulateOutput(
-        view=view, video=video, frames=frames, save=save, plots=plots, record=record, force=force
+        view=view,
+        video=video,
+        frames=frames,
+        save=save,
+        plots=plots,
+        record=record,
+        force=force,
+        film=parse_film_format(film_size, fps, film_camera),
     )
     service = service_options(connect, serve, pace)
     if pace == "real" and service is None:

@@ -29,6 +29,7 @@ class CameraOptions:
         swing: amplitude of the orbit, rad.
         period: of the orbit, s.
         elevation: of the camera above the horizontal plane, rad.
+        azimuth: turn of the viewpoint about the vertical axis from where it sees the most contacts, rad.
         radius: of the ball about the object that the frame shows, m; parts of the hand outside it may be cut off.
     """
 
@@ -38,6 +39,7 @@ class CameraOptions:
     period: float = 10.0
     elevation: float = math.radians(24.0)
     radius: float = math.inf
+    azimuth: float = 0.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -140,6 +142,7 @@ def place_camera(
         score = seen + _FRONT_WEIGHT * math.cos(candidate - preferred)
         if score > best:
             best, azimuth = score, float(candidate)
+    azimuth += options.azimuth
     tangent = math.tan(math.radians(FIELD_OF_VIEW) / 2.0)
     half = np.array([tangent * options.aspect * (1.0 - options.covered), tangent]) * _FILL
     shown = points[np.linalg.norm(points - data.geom(OBJECT).xpos, axis=1) <= options.radius]
