@@ -30,7 +30,7 @@ from graspforce.service.wire.stream_setups import read_setup
 
 _STREAMS = "streams/"
 _TIMED_KEYS = ("quality", "explain", "solve", "distribute")  # last parts of keys whose numbers may not fit into their time
-_PLAN_TASKS = ("plan", "grasp")
+_PLAN_TASKS = ("plan", "grasp", "regrasp")
 _LOAD_CODES = ("overloaded", "deadline", "closing", "forbidden")  # refusals that depend on load and clients
 _OPENING_FIELDS = ("stream", "idle", "joints")  # of the reply to an opening: the others are random or count
 _MAX_WAIT = 90.0  # s, for a plan
