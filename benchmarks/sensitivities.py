@@ -27,11 +27,11 @@ from scipy.spatial.transform import Rotation
 
 import graspforce as gf
 from benchmarks import report_page
-from graspforce.analysis.gradients import change_problem
 from graspforce.analysis.optimality import Optimum, find_optimum
 from graspforce.analysis.sensitivity import Sensitivities
 from graspforce.contact.matrices import grasp_matrix
 from graspforce.core.arrays import Array
+from graspforce.force.problem_data import change_problem
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 

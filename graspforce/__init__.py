@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from graspforce.core.errors import GraspForceError, InvalidInput
     from graspforce.force.backends.protocol import SolverSettings
     from graspforce.force.backends.registry import available_backends
-    from graspforce.force.batch import StackedSolutions, solve_batch, solve_stack
+    from graspforce.force.batch import solve_batch
     from graspforce.force.certificate import Certificate
     from graspforce.force.infeasibility import Infeasibility
     from graspforce.force.multipliers import Multipliers
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from graspforce.force.problem_options import Cone, Objective
     from graspforce.force.solution import Solution
     from graspforce.force.solver import Solver, solve
+    from graspforce.force.stack import StackedGradients, StackedSolutions, solve_stack
     from graspforce.force.status import Status
     from graspforce.force.uncertainty import Uncertainty
     from graspforce.grasp.body import Body
@@ -66,6 +67,7 @@ __all__ = [
     "Solution",
     "Solver",
     "SolverSettings",
+    "StackedGradients",
     "StackedSolutions",
     "Status",
     "Uncertainty",
@@ -104,7 +106,8 @@ _object = lazy_exports(
         **dict.fromkeys(("GraspForceError", "InvalidInput"), "graspforce.core.errors"),
         "SolverSettings": "graspforce.force.backends.protocol",
         "available_backends": "graspforce.force.backends.registry",
-        **dict.fromkeys(("StackedSolutions", "solve_batch", "solve_stack"), "graspforce.force.batch"),
+        **dict.fromkeys(("StackedGradients", "StackedSolutions", "solve_stack"), "graspforce.force.stack"),
+        "solve_batch": "graspforce.force.batch",
         **dict.fromkeys(("Cone", "Objective"), "graspforce.force.problem_options"),
         "ForceProblem": "graspforce.force.problem",
         "load": "graspforce.force.problem_file",

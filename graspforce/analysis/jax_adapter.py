@@ -2,18 +2,26 @@
 
     gradient = jax.grad(lambda p: gf.jax.solve(problem, p=p).objective)(positions)
 
-The solver runs on the CPU in double precision, as a callback, also within `jax.jit` and `jax.vmap`. Enable double precision
+The solver runs on the CPU in double precision, as a callback, also within `jax.jit` and `jax.vmap`; a mapped axis is solved
+and differentiated by the compiled kernel on all cores. Enable double precision
 with ``jax.config.update("jax_enable_x64", True)``; otherwise JAX rounds data and results to single precision.
 """
 
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from graspforce.analysis.gradients import data_gradient, solve_with_data
+from graspforce.analysis.gradients import (
+    OptimalForces,
+    OptimumBatch,
+    data_gradient,
+    data_shapes,
+    optimum_values,
+    solve_with_data,
+)
 from graspforce.analysis.sensitivity import DegenerateOptima
 from graspforce.core.errors import InvalidInput
 from graspforce.core.optional_libraries import optional_imports
@@ -22,20 +30,6 @@ from graspforce.force.problem import ForceProblem
 with optional_imports("jax"):
     import jax
     import jax.numpy as jnp
-
-
-class OptimalForces(NamedTuple):
-    """An optimum as JAX arrays.
-
-    Args:
-        f: (k,) stacked contact forces in the contact frames, N and N·m.
-        tau: (n,) motor torques, N·m; empty without a hand.
-        objective: value of the objective.
-    """
-
-    f: jax.Array
-    tau: jax.Array
-    objective: jax.Array
 
 
 def solve(
@@ -74,11 +68,11 @@ def contact_frames(normals: jax.Array) -> jax.Array:
     Args:
         normals: (N, 3) inward normals, of any length but zero.
     """
-    n = normals / jnp.linalg.norm(normals, axis=1, keepdims=True)
+    n = normals / jnp.linalg.norm(normals, axis=-1, keepdims=True)
     e_x, e_y = jnp.eye(3, dtype=n.dtype)[:2]
-    t1 = jnp.cross(n, jnp.where(jnp.abs(n[:, :1]) >= 0.9, e_y, e_x))
-    t1 = t1 / jnp.linalg.norm(t1, axis=1, keepdims=True)
-    return jnp.stack([t1, jnp.cross(n, t1), n], axis=2)
+    t1 = jnp.cross(n, jnp.where(jnp.abs(n[..., :1]) >= 0.9, e_y, e_x))
+    t1 = t1 / jnp.linalg.norm(t1, axis=-1, keepdims=True)
+    return jnp.stack([t1, jnp.cross(n, t1), n], axis=-1)
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(0, 1))
@@ -87,14 +81,16 @@ def _optimum(problem: ForceProblem, degenerate: DegenerateOptima, data: dict[str
 
     def run(values: dict[str, Any]) -> Any:
         """Solve on the CPU."""
-        optimum = solve_with_data(problem, _numpy(values), degenerate).optimum
-        results = (optimum.f, optimum.problem.torques(optimum.f), np.array(optimum.problem.cost(optimum.f)))
-        return tuple(value.astype(kind) for value in results)
+        arrays, batch = _flat(problem, values)
+        if batch:
+            found = OptimumBatch(problem, arrays, degenerate).solutions
+            return _unflat((found.f, found.torques, found.objective), batch, kind)
+        return _unflat(optimum_values(solve_with_data(problem, arrays, degenerate)), batch, kind)
 
     kind = jnp.result_type(float)
     n = 0 if problem.actuation is None else len(problem.actuation.tau_u)
     shapes = tuple(jax.ShapeDtypeStruct(shape, kind) for shape in ((problem.size,), (n,), ()))
-    return jax.pure_callback(run, shapes, data, vmap_method="sequential")
+    return jax.pure_callback(run, shapes, data, vmap_method="broadcast_all")
 
 
 def _forward(problem: ForceProblem, degenerate: DegenerateOptima, data: dict[str, Any]) -> Any:
@@ -107,17 +103,33 @@ def _backward(problem: ForceProblem, degenerate: DegenerateOptima, data: dict[st
 
     def run(values: dict[str, Any], f: Any, tau: Any, objective: Any) -> Any:
         """Return the adjoint product on the CPU."""
-        answer = solve_with_data(problem, _numpy(values), degenerate)
-        gradient = data_gradient(answer, np.asarray(f, float), np.asarray(tau, float), float(objective))
-        return {name: gradient[name].astype(value.dtype) for name, value in values.items()}
+        arrays, batch = _flat(problem, values)
+        seeds = [np.asarray(seed, dtype=float) for seed in (f, tau, objective)]
+        if batch:
+            flat = (seed.reshape((-1, *seed.shape[len(batch) :])) for seed in seeds)
+            gradient = OptimumBatch(problem, arrays, degenerate).gradient(*flat)
+        else:
+            gradient = data_gradient(solve_with_data(problem, arrays, degenerate), *seeds[:2], float(seeds[2]))
+        return {name: _unflat((gradient[name],), batch, value.dtype)[0] for name, value in values.items()}
 
     shapes = {name: jax.ShapeDtypeStruct(value.shape, value.dtype) for name, value in data.items()}
-    return (jax.pure_callback(run, shapes, data, *price, vmap_method="sequential"),)
+    return (jax.pure_callback(run, shapes, data, *price, vmap_method="broadcast_all"),)
 
 
-def _numpy(values: dict[str, Any]) -> dict[str, Any]:
-    """Return arrays of JAX as arrays of NumPy."""
-    return {name: np.asarray(value, dtype=float) for name, value in values.items()}
+def _flat(problem: ForceProblem, values: dict[str, Any]) -> tuple[dict[str, Any], tuple[int, ...]]:
+    """Return arrays of JAX as arrays of NumPy with at most one batch axis, and the batch axes of `jax.vmap`."""
+    shapes, batch = data_shapes(problem), ()
+    arrays = {name: np.asarray(value, dtype=float) for name, value in values.items()}
+    for name, value in arrays.items():
+        batch = value.shape[: value.ndim - len(shapes[name])] if name in shapes else batch
+    if not batch:
+        return arrays, ()
+    return {name: value.reshape((-1, *value.shape[len(batch) :])) for name, value in arrays.items()}, batch
+
+
+def _unflat(values: tuple[Any, ...], batch: tuple[int, ...], kind: Any) -> tuple[Any, ...]:
+    """Return results with the batch axes of `jax.vmap`, in the type of JAX."""
+    return tuple(value.astype(kind).reshape((*batch, *value.shape[bool(batch) :])) for value in values)
 
 
 _optimum.defvjp(_forward, _backward)

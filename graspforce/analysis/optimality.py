@@ -17,6 +17,7 @@ import numpy as np
 from graspforce.contact import friction
 from graspforce.core.arrays import Array
 from graspforce.force.certificate import cost_gradient, multiplier_gradient
+from graspforce.force.degeneracy import NO_SOLUTION, NOT_UNIQUE, undecided_cone, undecided_limit
 from graspforce.force.multipliers import Multipliers
 from graspforce.force.problem import ForceProblem
 from graspforce.force.scale import scale
@@ -92,11 +93,11 @@ def find_optimum(solution: Solution) -> Optimum:
     jacobian = scaled / size[:, None] / size
     worst = float(np.abs(residual).max()) / root
     if not undecided and not np.isfinite(worst):
-        undecided = ("the optimality conditions have no solution with these active limits",)
+        undecided = (NO_SOLUTION,)
     if not undecided and np.linalg.cond(scaled) > _LARGEST_CONDITION:
-        undecided = ("the optimum is not unique, or its active limits depend on each other",)
+        undecided = (NOT_UNIQUE,)
     if not undecided and (worst > _RESIDUAL or _leaves_limits(problem, f, alpha, active)):
-        undecided = ("the optimality conditions have no solution with these active limits",)
+        undecided = (NO_SOLUTION,)
     if undecided:  # Newton's method may have diverged
         f, y, alpha = start
         jacobian = conditions_jacobian(problem, f, alpha, active)
@@ -164,7 +165,7 @@ class _ActiveSet:
         for side in (0, 1):
             room, price = slack[side] / unit, multiplier[side] * unit / self.unit.cost
             if max(room, price) < _UNDECIDED:
-                self.undecided.append(f"the {('lower', 'upper')[side]} {kind} limit {index} may be active or not")
+                self.undecided.append(undecided_limit(("lower", "upper")[side], kind, index))
             elif price > room:
                 self.add(ActiveLimit(kind, index, (-1, 1)[side]), (-multiplier[0], multiplier[1])[side])
 
@@ -183,7 +184,7 @@ class _ActiveSet:
         elif normal >= _UNDECIDED and price > _UNDECIDED and mu > 0.0:
             self.add(ActiveLimit("cone", i), float(z[friction.F_N]))
         else:
-            self.undecided.append(f"the friction cone of contact {i} may be active or not")
+            self.undecided.append(undecided_cone(i))
 
 
 def _component_rows(problem: ForceProblem, i: int) -> list[tuple[int, int]]:

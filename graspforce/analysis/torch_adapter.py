@@ -4,16 +4,22 @@
     forces.objective.backward()
 
 The forward pass solves and certifies the problem; the backward pass is one linear solve of the optimality conditions. Tensors
-may have any floating-point type and device; the computation is in double precision on the CPU.
+may have any floating-point type and device; the computation is in double precision on the CPU. Tensors with a batch axis in
+front are M problems, which the compiled kernel solves and differentiates on all cores.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
-
-from graspforce.analysis.gradients import data_gradient, solve_with_data
+from graspforce.analysis.gradients import (
+    OptimalForces,
+    OptimumBatch,
+    data_gradient,
+    is_batch,
+    optimum_values,
+    solve_with_data,
+)
 from graspforce.analysis.sensitivity import DegenerateOptima
 from graspforce.core.errors import InvalidInput
 from graspforce.core.optional_libraries import optional_imports
@@ -21,22 +27,6 @@ from graspforce.force.problem import ForceProblem
 
 with optional_imports("torch"):
     import torch
-
-
-class OptimalForces(NamedTuple):
-    """An optimum as tensors.
-
-    Args:
-        f: (k,) stacked contact forces in the contact frames, N and N·m.
-        tau: (n,) motor torques, N·m; empty without a hand.
-        objective: value of the objective.
-        degenerate: reasons why derivatives do not exist; empty if they do.
-    """
-
-    f: torch.Tensor
-    tau: torch.Tensor
-    objective: torch.Tensor
-    degenerate: tuple[str, ...]
 
 
 def solve(
@@ -55,7 +45,8 @@ def solve(
             Excludes `R`.
         degenerate: "error", or "least_squares" as in `graspforce.sensitivities`.
         data: `w` (6,), `mu` (N,), `p` (N, 3), `R` (N, 3, 3), and with a hand `tau_u`, `torque_lower`, `torque_upper` (n,) and
-            `J` (k, n), in the units of `ForceProblem`.
+            `J` (k, n), in the units of `ForceProblem`. Any of them, and `normals`, may have a batch axis (M, …) in front: the
+            results then have it, too.
 
     Raises:
         InvalidInput: no forces exist, the optimum is degenerate, or a value is not allowed.
@@ -73,14 +64,14 @@ def contact_frames(normals: torch.Tensor) -> torch.Tensor:
     """Return (N, 3, 3) contact frames with the tangents that `Contact` has by default: t₁ = n × e_x, or n × e_y.
 
     Args:
-        normals: (N, 3) inward normals, of any length but zero.
+        normals: (N, 3) or (M, N, 3) inward normals, of any length but zero.
     """
-    n = normals / normals.norm(dim=1, keepdim=True)
+    n = normals / normals.norm(dim=-1, keepdim=True)
     e_x, e_y = torch.eye(3, dtype=n.dtype, device=n.device)[:2]
-    other = torch.where(n[:, :1].abs() >= 0.9, e_y, e_x)
+    other = torch.where(n[..., :1].abs() >= 0.9, e_y, e_x)
     t1 = torch.linalg.cross(n, other)
-    t1 = t1 / t1.norm(dim=1, keepdim=True)
-    return torch.stack([t1, torch.linalg.cross(n, t1), n], dim=2)
+    t1 = t1 / t1.norm(dim=-1, keepdim=True)
+    return torch.stack([t1, torch.linalg.cross(n, t1), n], dim=-1)
 
 
 class _Optimum(torch.autograd.Function):  # type: ignore[misc]  # its type is not read
@@ -88,13 +79,16 @@ class _Optimum(torch.autograd.Function):  # type: ignore[misc]  # its type is no
 
     @staticmethod
     def forward(ctx: Any, problem: ForceProblem, degenerate: DegenerateOptima, names: tuple[str, ...], *data: Any) -> Any:
-        """Solve the problem; keep its derivatives for the backward pass."""
+        """Solve the problem or the batch; keep its derivatives for the backward pass."""
         arrays = {name: value.detach().cpu().numpy() for name, value in zip(names, data, strict=True)}
-        answer = solve_with_data(problem, arrays, degenerate)
-        ctx.answer, ctx.names, ctx.data = answer, names, [(value.dtype, value.device) for value in data]
-        optimum = answer.optimum
+        if is_batch(problem, arrays):
+            ctx.answer = answer = OptimumBatch(problem, arrays, degenerate)
+            values = (answer.solutions.f, answer.solutions.torques, answer.solutions.objective)
+        else:
+            ctx.answer = answer = solve_with_data(problem, arrays, degenerate)
+            values = optimum_values(answer)
+        ctx.names, ctx.data = names, [(value.dtype, value.device, value.dim()) for value in data]
         like = data[0] if data else torch.zeros((), dtype=torch.float64)
-        values = (optimum.f, optimum.problem.torques(optimum.f), np.array(optimum.problem.cost(optimum.f)))
         tensors = (torch.tensor(value, dtype=like.dtype, device=like.device) for value in values)
         return (*tensors, answer.degenerate)
 
@@ -102,10 +96,14 @@ class _Optimum(torch.autograd.Function):  # type: ignore[misc]  # its type is no
     @torch.autograd.function.once_differentiable  # type: ignore[untyped-decorator]
     def backward(ctx: Any, f: Any, tau: Any, objective: Any, _: Any) -> Any:
         """Return the gradients of the data."""
-        f, tau = (value.detach().cpu().numpy().astype(float) for value in (f, tau))
-        gradient = data_gradient(ctx.answer, f, tau, float(objective))
-        tensors = [
-            torch.tensor(gradient[name], dtype=kind, device=device)
-            for name, (kind, device) in zip(ctx.names, ctx.data, strict=True)
-        ]
+        f, tau, objective = (value.detach().cpu().numpy().astype(float) for value in (f, tau, objective))
+        if isinstance(ctx.answer, OptimumBatch):
+            gradient = ctx.answer.gradient(f, tau, objective)
+        else:
+            gradient = data_gradient(ctx.answer, f, tau, float(objective))
+        tensors = []
+        for name, (kind, device, dimensions) in zip(ctx.names, ctx.data, strict=True):
+            value = gradient[name]
+            own = value if value.ndim == dimensions else value.sum(axis=0)  # data that all problems share
+            tensors.append(torch.tensor(own, dtype=kind, device=device))
         return (None, None, None, *tensors)

@@ -9,8 +9,9 @@ import pytest
 from support.random_problems import inner_forces, random_actuation, random_contacts
 
 import graspforce as gf
-from graspforce.analysis.gradients import change_problem, data_gradient, data_shapes, solve_with_data
+from graspforce.analysis.gradients import OptimumBatch, data_gradient, round_frames, solve_with_data
 from graspforce.contact.matrices import grasp_matrix
+from graspforce.force.problem_data import change_problem, data_shapes
 
 STEP = 1e-5  # of central differences, relative to the data
 
@@ -89,10 +90,10 @@ def test_data_that_a_problem_does_not_have_are_refused():
     with pytest.raises(gf.InvalidInput, match="did you mean 'mu'"):
         change_problem(problem, {"mus": np.zeros(4)})
     with pytest.raises(gf.InvalidInput, match=r"R\[1\]"):
-        change_problem(problem, {"R": problem.contacts.R_OC * np.array([1.0, 1.1, 1.0, 1.0])[:, None, None]})
+        round_frames(problem, {"R": problem.contacts.R_OC * np.array([1.0, 1.1, 1.0, 1.0])[:, None, None]})
     with pytest.raises(gf.InvalidInput, match="degenerate"):
         solve_with_data(problem, {}, "guess")
-    single = change_problem(problem, {"R": problem.contacts.R_OC.astype(np.float32)})
+    single = change_problem(problem, round_frames(problem, {"R": problem.contacts.R_OC.astype(np.float32)}))
     np.testing.assert_allclose(single.contacts.R_OC, problem.contacts.R_OC, atol=1e-6)
 
 
@@ -140,6 +141,75 @@ def test_backward_in_torch_gives_the_adjoint_product(torch):
     gradient = data_gradient(solve_with_data(problem, data_of(problem)), f_bar, tau_bar, objective_bar)
     for name, tensor in tensors.items():
         np.testing.assert_allclose(tensor.grad.numpy(), gradient[name], rtol=1e-9, atol=1e-9 * np.abs(gradient[name]).max())
+
+
+def batch_data(problem: gf.ForceProblem) -> dict[str, np.ndarray]:
+    """Return data of three problems: loads and positions differ, friction and frames are common."""
+    rng, data = np.random.default_rng(11), data_of(problem)
+    w = problem.w * (1.0 + 1e-4 * rng.random((3, 6)))
+    return {"w": w, "p": data["p"] + 1e-6 * rng.normal(size=(3, 4, 3)), "mu": data["mu"], "R": data["R"]}
+
+
+def test_a_batch_has_the_gradients_of_its_problems():
+    problem = regular_problem()
+    f_bar, tau_bar, objective_bar = weights(problem)
+    data = batch_data(problem)
+    batch = OptimumBatch(problem, data)
+    assert batch.degenerate == ()
+    seeds = (np.tile(f_bar, (3, 1)), np.tile(tau_bar, (3, 1)), np.full(3, objective_bar))
+    gradient = batch.gradient(*seeds)
+    for i in range(3):
+        own = {name: value[i] if name in ("w", "p") else value for name, value in data.items()}
+        answer = solve_with_data(problem, own)
+        best = answer.optimum.problem.cost(answer.optimum.f)
+        assert batch.solutions.objective[i] == pytest.approx(best, rel=2e-8)  # certified to 1e-8
+        for name, exact in data_gradient(answer, f_bar, tau_bar, objective_bar).items():
+            np.testing.assert_allclose(gradient[name][i], exact, atol=1e-10 * np.abs(exact).max())
+
+
+def test_degenerate_problems_of_a_batch_need_permission():
+    problem = unloaded()
+    w = np.zeros((2, 6))
+    w[0, 2] = 1.0
+    with pytest.raises(gf.InvalidInput, match="problem 1"):
+        OptimumBatch(problem, {"w": w})
+    allowed = OptimumBatch(problem, {"w": w}, "least_squares")
+    assert len(allowed.degenerate) == 1
+    assert allowed.degenerate[0].startswith("problem 1: the friction cone of contact 0")
+    gradient = allowed.gradient(np.ones((2, 9)), np.zeros((2, 0)), np.ones(2))
+    alone = data_gradient(solve_with_data(problem, {}, "least_squares"), np.ones(9), np.zeros(0), 1.0)
+    np.testing.assert_allclose(gradient["w"][1], alone["w"])
+    assert np.isfinite(gradient["p"][0]).all()
+    pulled = gf.ForceProblem([gf.Contact((0, 0, 0), (0, 0, 1), 0.5)], (0, 0, 1.0, 0, 0, 0))
+    with pytest.raises(gf.InvalidInput, match="no gradient without forces"):
+        OptimumBatch(pulled, {"w": [[0, 0, 1.0, 0, 0, 0], [0, 0, -1.0, 0, 0, 0]]})
+
+
+def test_torch_solves_batches(torch):
+    """Data without a batch axis get the sum of the gradients of all problems."""
+    problem, data = regular_problem(), batch_data(regular_problem())
+    tensors = {name: torch.tensor(value, requires_grad=True) for name, value in data.items()}
+    forces = gf.torch.solve(problem, **tensors)
+    assert forces.f.shape == (3, problem.size)
+    assert forces.objective.shape == (3,)
+    forces.objective.sum().backward()
+    n = len(problem.actuation.tau_u)
+    gradient = OptimumBatch(problem, data).gradient(np.zeros((3, problem.size)), np.zeros((3, n)), np.ones(3))
+    for name, tensor in tensors.items():
+        exact = gradient[name] if name in ("w", "p") else gradient[name].sum(axis=0)
+        np.testing.assert_allclose(tensor.grad.numpy(), exact, atol=1e-12 * np.abs(exact).max())
+    normals = torch.tensor(np.stack([problem.contacts.R_OC[:, :, 2]] * 2))
+    np.testing.assert_allclose(gf.torch.contact_frames(normals)[1], gf.torch.contact_frames(normals[0]), atol=0.0)
+
+
+def test_jax_maps_over_several_axes_at_once(jax):
+    problem, jnp = regular_problem(), jax.numpy
+    data = batch_data(problem)
+    loads, places = jnp.array(data["w"]), jnp.array(data["p"])
+    slope = jax.grad(lambda w, p: gf.jax.solve(problem, w=w, p=p).objective, argnums=1)
+    both = jax.vmap(jax.vmap(slope, (0, None)), (None, 0))(loads, places)
+    assert both.shape == (3, 3, 4, 3)
+    np.testing.assert_allclose(both[2, 1], slope(loads[1], places[2]), rtol=1e-9, atol=1e-10)
 
 
 def test_torch_checks_the_gradients_of_all_outputs(torch):

@@ -24,6 +24,7 @@ SHORT = {  # options of the short form, and a text that its output must contain
     "ros2_stream": (["--seconds", "1", "--corpus", "20", "--port", "0"], "20 of 20 joint states from the library and 20 of 20"),
     "rigorous": (["--count", "20", "--mutations", "50"], "50 refused with the old checksum"),
     "sensitivities": (["--count", "4"], "Of 28 blocks, 0 differ by more than 1e-5"),
+    "batched_adjoints": (["--count", "300", "--repeats", "1"], "0 other flags"),
     "structured_accuracy": (["--count", "5", "--sizes", "3"], "| 0.01 % over the largest load |"),
 }
 

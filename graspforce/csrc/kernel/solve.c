@@ -38,6 +38,7 @@
 #include "pack.inc"
 #include "range_proof.inc"
 #include "short_step.inc"
+#include "target_clones.inc"
 #include "unpack.inc"
 
 /* Header of the workspace, kept between calls for warm starts. */
@@ -45,15 +46,6 @@ typedef struct {
     uint64_t fingerprint; /* of the last optimal solution, zero if there is none */
     double y[SHARED], tau;
 } gf_warm_memory;
-
-#if defined(__x86_64__) && defined(__gnu_linux__) && __GNUC__ >= 12 && !defined(__clang__) && GF_LANES > 1 && !defined(__AVX2__)
-/* Compile for AVX2 and for any x86-64; the loader chooses. */
-#define GF_TARGET_CLONES __attribute__((flatten, target_clones("arch=x86-64-v3", "default")))
-#elif defined(__GNUC__)
-#define GF_TARGET_CLONES __attribute__((flatten))
-#else
-#define GF_TARGET_CLONES
-#endif
 
 static const double DEMAND_GROWTH = 4.0, LARGEST_DEMAND = 1e4;  /* of `proof_demand`, while a proof cannot be completed */
 static const double LEAST_MARGIN = GF_BY_PRECISION(1e-8, 1e-4); /* in units of F: a smaller negative margin counts as zero */

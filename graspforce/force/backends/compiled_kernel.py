@@ -17,6 +17,7 @@ from graspforce.contact import friction
 from graspforce.contact.contact import ContactModel
 from graspforce.core.arrays import Array
 from graspforce.core.errors import BackendError, UnsupportedProblem
+from graspforce.force.multipliers import Multipliers
 from graspforce.force.problem import ForceProblem
 
 Kernel: Any = None
@@ -42,6 +43,7 @@ CHANGEABLE = ("w", "J", "tau_u", "p", "R", "mu", "min_normal", "max_normal", "ga
 NOT_BUILT = "graspforce was installed without a C compiler"
 
 _INPUT_NAMES = (*CHANGEABLE, "lower", "upper", "weight", "facet", "cost")
+_STACKED_NAMES = {"torque_lower": "lower", "torque_upper": "upper"}  # names of data in the kernel
 _LEVELS = {"max_normal": 1, "margin": 2}  # gf_level of an objective; 0 for all others
 _COMPONENTS = {model: len(model.columns) for model in ContactModel}
 _EMPTY = np.zeros(0)
@@ -55,26 +57,63 @@ def is_available() -> bool:
     return Kernel is not None
 
 
-def solve_stacked(problem: ForceProblem, rows: Mapping[str, Array], count: int) -> tuple[Array, Array, npt.NDArray[np.void]]:
-    """Solve and certify M problems that differ in some arrays, in one call of the kernel.
+class StackedKernel:
+    """A kernel bound to M problems that differ in some arrays, and to their solutions.
 
     Args:
         problem: the common values, with exact cones.
-        rows: "w", "J" and "tau_u": arrays whose first axis is the index of the problem.
-        count: M.
-
-    Returns:
-        (M, k) forces, (M, n) torques, and (M,) reports with the fields status and iterations; primal, dual and gap of the
-        solver; certified_primal, certified_dual and certified_gap.
+        rows: stacked arrays by name, as in `graspforce.force.problem_data`.
 
     Raises:
+        UnsupportedProblem: the objective is max_normal or margin.
         BackendError: the kernel was not built.
     """
-    arrays = kernel_arrays(problem, count)
-    kernel = Kernel(**{**arrays, **{name: np.ascontiguousarray(row) for name, row in rows.items()}})
-    kernel.solve(0, count, TOLERANCE, MAX_ITERATIONS, False)
-    kernel.certify(0, count)
-    return arrays["f"], arrays["tau"], arrays["report"]
+
+    def __init__(self, problem: ForceProblem, rows: Mapping[str, Array]) -> None:
+        self._count = len(next(iter(rows.values())))
+        self._problem = problem
+        stacked = {_STACKED_NAMES.get(name, name): np.ascontiguousarray(row) for name, row in rows.items()}
+        self._arrays = {**kernel_arrays(problem, self._count), **stacked}
+        self._kernel = Kernel(**self._arrays)
+
+    def solve(self) -> None:
+        """Solve and certify all problems."""
+        self._kernel.solve(0, self._count, TOLERANCE, MAX_ITERATIONS, False)
+        self._kernel.certify(0, self._count)
+
+    def solutions(self) -> tuple[Array, Array, Array, npt.NDArray[np.bool_]]:
+        """Return (M, k) forces, (M, n) torques, (M, 3) certified residuals, and (M,) which solutions may be optimal."""
+        report = self._arrays["report"]
+        residuals = np.column_stack([report[name] for name in ("certified_primal", "certified_dual", "certified_gap")])
+        return self._arrays["f"], self._arrays["tau"], residuals, report["status"] <= 1
+
+    def store(self, i: int, f: Array, multipliers: Multipliers) -> None:
+        """Replace the solution of problem i.
+
+        Args:
+            i: index of the problem.
+            f: (k,) forces, N and N·m.
+            multipliers: multipliers about the centroid of the problem's contacts.
+        """
+        m = multipliers
+        values = {"f": f, "y": m.y, "nu_lower": m.normal_lower, "nu_upper": m.normal_upper}
+        for name, value in {**values, "lambda_lower": m.torque_lower, "lambda_upper": m.torque_upper}.items():
+            self._arrays[name][i] = value
+
+    def adjoint(self, seeds: Mapping[str, Array]) -> tuple[dict[str, Array], Indices]:
+        """Return gradients of a function of the solutions by name of the data, and (M, 2) the outcomes and their indices.
+
+        Args:
+            seeds: derivatives of the function with respect to "f" (M, k), "tau" (M, n) and "objective" (M,).
+        """
+        k, N, n = self._problem.size, len(self._problem.contacts), joint_count(self._problem)
+        shapes = {"w": (6,), "mu": (N,), "p": (N, 3), "rotation": (N, 3)}
+        shapes |= {"tau_u": (n,), "torque_lower": (n,), "torque_upper": (n,), "J": (k, n)}
+        gradients = {name: np.empty((self._count, *shape)) for name, shape in shapes.items()}
+        outcomes = np.zeros((self._count, 2), dtype=np.intc)
+        given = (np.ascontiguousarray(seeds[name]) for name in ("f", "tau", "objective"))
+        self._kernel.adjoint(0, self._count, *given, *gradients.values(), outcomes)
+        return gradients, outcomes
 
 
 def kernel_arrays(problem: ForceProblem, count: int = 1) -> dict[str, Any]:
