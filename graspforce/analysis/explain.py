@@ -18,7 +18,6 @@ from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.lazy import plot_with
 from graspforce.force.backends import registry
-from graspforce.force.backends.protocol import SolverSettings
 from graspforce.force.infeasibility import (
     DeadlinePassed,
     smallest_friction_factor,
@@ -36,7 +35,8 @@ if TYPE_CHECKING:
 SCHEMA = "graspforce/explanation/1"
 _NAMED_LIMITS = 3  # limits that the first sentence names
 _NEGLIGIBLE_USE = 0.005  # a limit that prints as 0 %
-_SHORTEST_TIME = 1e-3  # s: a solver may start once after the deadline
+
+_TIMED_OUT = "The time was over before forces or a proof of infeasibility were found."
 
 Result = TypeVar("Result")
 
@@ -100,7 +100,7 @@ class Explanation:
     def sentences(self) -> tuple[str, ...]:
         """The explanation in words."""
         status = self.solution.status
-        sentences = [status.sentence]
+        sentences = [_TIMED_OUT if self.solution.timed_out else status.sentence]
         if self.solution.found:
             named = [str(limit) for limit in self.limits[:_NAMED_LIMITS] if limit.used > _NEGLIGIBLE_USE]
             sentences.append(f"Closest limits: {', '.join(named)}." if named else "No limit is close.")
@@ -169,8 +169,8 @@ def explain(
     Args:
         problem: the force problem.
         direction: (6,) direction of the payload about O, in O, N and N·m; by default none is computed.
-        seconds: time limit, s; by default none. Solvers stop then, and numbers that were not found are None. If the structured
-            kernel does not solve the problem in its microseconds, the solution may be missing too, with the status failed.
+        seconds: time limit of everything, s; by default none. Solvers stop then, and numbers that were not found are None.
+            Without a certified answer by then, the solution is failed, with `Solution.timed_out`.
         contact_names: name of each contact; by default "contact 0", …
         joint_names: name of each joint; by default "joint 0", …
 
@@ -184,8 +184,7 @@ def explain(
     n = 0 if problem.actuation is None else len(problem.actuation.tau_u)
     contacts = _names(contact_names, "contact", len(problem.contacts))
     joints = _names(joint_names, "joint", n)
-    rest = max(deadline - time.perf_counter(), 0.0) if np.isfinite(limit) else None
-    solution = solve(problem, settings=_settings_until(deadline), explain_seconds=rest)
+    solution = solve(problem, deadline=_rest(deadline))
 
     def before_deadline(number: Callable[[], Result]) -> Result | None:
         if time.perf_counter() >= deadline:
@@ -246,17 +245,16 @@ def _limit_uses(problem: ForceProblem, solution: Solution, contacts: list[str], 
     return result
 
 
-def _settings_until(deadline: float) -> SolverSettings:
-    """Return settings with the time until a deadline as the limit, at least a millisecond."""
-    rest = deadline - time.perf_counter()
-    return SolverSettings(time_limit=max(rest, _SHORTEST_TIME) if np.isfinite(rest) else None)
+def _rest(deadline: float) -> float | None:
+    """Return the time until a deadline, s; None without a deadline."""
+    return max(deadline - time.perf_counter(), 0.0) if np.isfinite(deadline) else None
 
 
 def _largest_margin(problem: ForceProblem, deadline: float) -> float | None:
     """Return the largest common slip margin, N; None without friction, if no limit bounds it, or after the deadline."""
     try:
         margin = ForceProblem(problem.contacts, problem.w, problem.actuation, problem.cone, Objective("margin"))
-        return solve(margin, settings=_settings_until(deadline), explain=False).objective
+        return solve(margin, explain=False, deadline=_rest(deadline)).objective
     except InvalidInput:
         return None
 

@@ -48,8 +48,8 @@ class Solution:
         seconds: time of the solver, s, without certificate and record.
         multipliers: of the optimum or of the proof of infeasibility; None over the wire.
         cost_bound: with an uncertainty, lower bound on the objective of all forces that hold for it; None otherwise.
-        timed_out: the deadline of a `Solver` passed without a certified answer. Forces, certificate and problem are then those
-            of its last certified solve; without one the status is failed.
+        timed_out: the deadline passed without a certified answer. With a `Solver`, forces, certificate and problem are those
+            of its last certified solve; otherwise, or without one, the status is failed.
     """
 
     status: Status

@@ -6,6 +6,7 @@ tightest proof of infeasibility comes from a cone program of its own.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 import time
@@ -19,8 +20,15 @@ from graspforce.core.errors import InvalidInput, UnsupportedProblem
 from graspforce.force.backends import registry
 from graspforce.force.backends.protocol import Backend, Session, SolverSettings
 from graspforce.force.certificate import certify, certify_infeasibility
+from graspforce.force.cone_program import ConicSolver
 from graspforce.force.extreme_optima import find_distant_optimum, find_small_optimum, is_margin_unbounded
-from graspforce.force.infeasibility import add_remedies, describe_infeasibility, infeasibility_multipliers
+from graspforce.force.infeasibility import (
+    DeadlinePassed,
+    add_remedies,
+    describe_infeasibility,
+    infeasibility_multipliers,
+    solver_with_deadline,
+)
 from graspforce.force.multipliers import Multipliers
 from graspforce.force.problem import ForceProblem
 from graspforce.force.scale import scale
@@ -32,6 +40,7 @@ _LARGE_FORCE = 1e6  # force units: the size of forces for which the backends' to
 _OBJECTIVE_TOLERANCE = 1e-7  # of the gap relative to the objective
 _MAX_REFINEMENTS = 5
 _WIDE_WEIGHTS = 1e4  # ratio of torque weights from which the optimal cost can be far below its unit
+_SHORTEST_TIME = 1e-9  # s: the time limit of a solver whose time is over
 _SUFFICIENT_REACH = 1e9  # force units: proofs that cover less leave room for a search with larger forces
 
 
@@ -43,6 +52,7 @@ def solve(
     guess: Solution | None = None,
     explain: bool = True,
     explain_seconds: float | None = None,
+    deadline: float | None = None,
 ) -> Solution:
     """Return the contact forces of least cost, certified.
 
@@ -58,6 +68,8 @@ def solve(
         explain: for an infeasible problem, also compute the factors on friction and torque limits that make it feasible,
             and the nearest feasible wrench. This takes some hundred times as long as the solution.
         explain_seconds: limit on the time of the explanation, s; numbers not found by then are None. Default: no limit.
+        deadline: time of the whole call, s. When it is over, solvers stop: the kernel after its iteration. Without a certified
+            answer by then, the solution is failed, with `Solution.timed_out`. Default: no limit.
 
     Returns:
         The solution: optimal, inaccurate, infeasible (with the proof) or failed.
@@ -65,10 +77,13 @@ def solve(
     Raises:
         UnknownName: no backend of that name is available.
         UnsupportedProblem: the named backend does not support the problem.
-        InvalidInput: explain_seconds is negative, or the objective is "margin" and no limit bounds the margin.
+        InvalidInput: explain_seconds or deadline is negative, or the objective is "margin" and no limit bounds the margin.
     """
     limit = _explanation_limit(explain, explain_seconds)
-    settings = settings or _DEFAULT_SETTINGS
+    settings, end = settings or _DEFAULT_SETTINGS, math.inf
+    if deadline is not None:
+        end = time.perf_counter() + arrays.check_number(deadline, "deadline", minimum=0.0)
+        settings = _limited(settings, max(deadline, _SHORTEST_TIME))
     if problem.uncertainty is not None:
         from graspforce.force.robust_program import solve_robust  # imported here because it imports the general backend
 
@@ -81,8 +96,10 @@ def solve(
             raise
         solution = registry.general_backend().solve(problem, settings, guess)
     if not (solution.is_final and (solution.found or (limit == 0.0 and not _has_short_reach(solution)))):
-        solution = _certify_or_fall_back(solution, settings, limit)
-    return _refine_objective(solution) if _has_wide_weights(problem) else solution
+        solution = _certify_or_fall_back(solution, settings, limit, end)
+    if solution.status is Status.FAILED and time.perf_counter() >= end:
+        return dataclasses.replace(solution, timed_out=True)
+    return _refine_objective(solution, end) if _has_wide_weights(problem) else solution
 
 
 class Solver:
@@ -243,33 +260,46 @@ def _explanation_limit(explain: bool, explain_seconds: float | None) -> float:
 
 
 @np.errstate(all="ignore")  # a solution that overflows is not certified
-def _certify_or_fall_back(solution: Solution, settings: SolverSettings, explanation_limit: float) -> Solution:
-    """Return the certified solution; the fallback's, or a proof of infeasibility, if its own certificate fails."""
-    deadline = time.perf_counter() + explanation_limit
+def _certify_or_fall_back(
+    solution: Solution, settings: SolverSettings, explanation_limit: float, end: float = math.inf
+) -> Solution:
+    """Return the certified solution; the fallback's, or a proof of infeasibility, if its own certificate fails.
+
+    Args:
+        solution: a backend's solution.
+        settings: of the backend.
+        explanation_limit: time of the explanation, s.
+        end: end of the time of everything, on the clock `time.perf_counter`, s.
+    """
+    deadline = min(time.perf_counter() + explanation_limit, end)
     problem, fallback = solution.original_problem, registry.general_backend()
+    solve_program = solver_with_deadline(fallback.solve_program, end)
     solution = _certify_solution(problem, solution)
-    if not solution.is_final and solution.backend != fallback.name:
+    if not solution.is_final and solution.backend != fallback.name and time.perf_counter() < end:
         own_settings = SolverSettings(time_limit=settings.time_limit)  # the tolerance may be why certification failed
+        if math.isfinite(end):
+            own_settings = _limited(own_settings, max(end - time.perf_counter(), _SHORTEST_TIME))
         second = _certify_solution(problem, fallback.solve(problem, own_settings))
         solution = second if second.is_final or not solution.found else solution
-    if not solution.is_final and not solution.found:
-        solution = _with_infeasibility_proof(problem, solution)
-    if solution.status is Status.FAILED or _has_short_reach(solution):
-        solution = _search_large_forces(problem, solution)
-    failed_margin = solution.status is Status.FAILED and problem.objective.type == "margin"
-    if failed_margin and is_margin_unbounded(problem, fallback.solve_program):
-        raise InvalidInput("objective.type", "margin", "another objective: no limit bounds the margin of these contacts")
-    if solution.status is Status.INFEASIBLE and explanation_limit > 0.0:
-        solution = _with_infeasibility_proof(problem, solution)
-        assert solution.infeasibility is not None  # every certified proof has a description
-        infeasibility = add_remedies(problem, solution.infeasibility, fallback.solve_program, deadline)
-        solution = dataclasses.replace(solution, infeasibility=infeasibility)
+    with contextlib.suppress(DeadlinePassed):
+        if not solution.is_final and not solution.found:
+            solution = _with_infeasibility_proof(problem, solution, solve_program)
+        if solution.status is Status.FAILED or _has_short_reach(solution):
+            solution = _search_large_forces(problem, solution, solve_program)
+        failed_margin = solution.status is Status.FAILED and problem.objective.type == "margin"
+        if failed_margin and is_margin_unbounded(problem, solve_program):
+            raise InvalidInput("objective.type", "margin", "another objective: no limit bounds the margin of these contacts")
+        if solution.status is Status.INFEASIBLE and explanation_limit > 0.0:
+            solution = _with_infeasibility_proof(problem, solution, solve_program)
+            assert solution.infeasibility is not None  # every certified proof has a description
+            infeasibility = add_remedies(problem, solution.infeasibility, fallback.solve_program, deadline)
+            solution = dataclasses.replace(solution, infeasibility=infeasibility)
     return solution
 
 
-def _with_infeasibility_proof(problem: ForceProblem, solution: Solution) -> Solution:
+def _with_infeasibility_proof(problem: ForceProblem, solution: Solution, solve_program: ConicSolver) -> Solution:
     """Return the solution with the tightest proof of infeasibility; unchanged if the proof does not hold."""
-    multipliers = infeasibility_multipliers(problem, registry.general_backend().solve_program)
+    multipliers = infeasibility_multipliers(problem, solve_program)
     if multipliers is None:
         return solution
     claim = dataclasses.replace(solution, status=Status.INFEASIBLE, multipliers=multipliers, certificate=None)
@@ -292,20 +322,21 @@ def _has_wide_weights(problem: ForceProblem) -> bool:
 
 
 @np.errstate(all="ignore")  # a solution that overflows is not certified
-def _refine_objective(solution: Solution) -> Solution:
+def _refine_objective(solution: Solution, end: float = math.inf) -> Solution:
     """Return the certified solution with the smallest gap relative to its objective, where that gap is not small."""
-    problem, solve_program = solution.original_problem, registry.general_backend().solve_program
-    for _ in range(_MAX_REFINEMENTS):
-        gap = solution.objective_gap
-        if gap is None or gap <= _OBJECTIVE_TOLERANCE or solution.objective is None:
-            break
-        optimum = find_small_optimum(problem, abs(solution.objective), solve_program)
-        if optimum is None:
-            break
-        refined = _with_forces(solution, *optimum)
-        if refined.objective_gap is None or refined.objective_gap >= gap or not refined.is_final:
-            break
-        solution = refined
+    problem, solve_program = solution.original_problem, solver_with_deadline(registry.general_backend().solve_program, end)
+    with contextlib.suppress(DeadlinePassed):
+        for _ in range(_MAX_REFINEMENTS):
+            gap = solution.objective_gap
+            if gap is None or gap <= _OBJECTIVE_TOLERANCE or solution.objective is None:
+                break
+            optimum = find_small_optimum(problem, abs(solution.objective), solve_program)
+            if optimum is None:
+                break
+            refined = _with_forces(solution, *optimum)
+            if refined.objective_gap is None or refined.objective_gap >= gap or not refined.is_final:
+                break
+            solution = refined
     return solution
 
 
@@ -325,11 +356,11 @@ def _with_forces(solution: Solution, f: Array, multipliers: Multipliers) -> Solu
     return _certify_solution(solution.original_problem, found)
 
 
-def _search_large_forces(problem: ForceProblem, solution: Solution) -> Solution:
+def _search_large_forces(problem: ForceProblem, solution: Solution, solve_program: ConicSolver) -> Solution:
     """Return a certified optimum with forces beyond a proof's reach, or far above the force unit; otherwise the solution."""
     reach = None if solution.infeasibility is None else solution.infeasibility.reach
     force = reach or _LARGE_FORCE * float(scale(problem).force)  # N
-    optimum = find_distant_optimum(problem, force, registry.general_backend().solve_program)
+    optimum = find_distant_optimum(problem, force, solve_program)
     if optimum is None:
         return solution
     found = _with_forces(solution, *optimum)

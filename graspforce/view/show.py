@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from graspforce.contact.contact import ContactSet
@@ -20,14 +22,16 @@ from graspforce.grasp.link_grasp import LinkGrasp
 OBJECT, FORCE, INSIDE, EDGE, FINGER = "#56B4E9", "#D55E00", "#009E73", "#CC3311", "#777777"  # distinct if colour-blind
 _CONE_SIDES = 24
 _EDGE_SHARE = 0.95  # of the friction limit: from here a cone is drawn in the colour of its edge
+_LOWEST_CONE = 0.15  # height of the cone of a small force, relative to the longest arrow
 _GRID = 25
 
 
 def show(subject: Grasp | LinkGrasp | ForceProblem, solution: Solution | None = None) -> Figure:
     """Return a picture of a grasp or a force problem in the object's frame O.
 
-    Cones are green, and red where the force uses more than 95 % of the friction limit. In a notebook the figure appears by
-    itself; elsewhere call ``figure.savefig("grasp.png")``.
+    Cones are green, and red where the force uses more than 95 % of the friction limit. With forces, the base of a cone is at
+    the tail of the arrow: the tail is in the disc of the base if the force is in the cone. In a notebook the figure appears
+    by itself; elsewhere call ``figure.savefig("grasp.png")``.
 
     Args:
         subject: a grasp, drawn with its object and fingers, all of them if links touch; or a force problem, drawn with its
@@ -84,7 +88,7 @@ def _draw_contacts(axes: Any, contacts: ContactSet, solution: Solution | None, l
     unit = length / max(float(np.linalg.norm(forces, axis=1).max(initial=0.0)), 1e-300)  # m/N
     angles = np.linspace(0.0, 2.0 * np.pi, _CONE_SIDES + 1)
     for p, R, mu, share, f in zip(contacts.p_OC, contacts.R_OC, contacts.mu, used, forces, strict=True):
-        height = 0.6 * length
+        height = max(unit * float(f @ R[:, 2]), _LOWEST_CONE * length) if found else 0.6 * length
         across = np.cos(angles)[:, None] * R[:, 0] + np.sin(angles)[:, None] * R[:, 1]
         rim = p - height * (R[:, 2] + mu * across)  # outside, so that the arrow of a force in its cone is in the drawn cone
         sides = [np.array([p, rim[i], rim[i + 1]]) for i in range(_CONE_SIDES)]
@@ -94,6 +98,21 @@ def _draw_contacts(axes: Any, contacts: ContactSet, solution: Solution | None, l
         if found:
             tail = p - unit * f
             axes.quiver(*tail, *(unit * f), color=FORCE, linewidth=2.0, arrow_length_ratio=0.18)
+    if found:
+        _explain_colours(axes, forces, used)
+
+
+def _explain_colours(axes: Any, forces: Array, used: Array) -> None:
+    """Add a legend: the size of the forces and the colours of the cones."""
+    sizes = np.linalg.norm(forces, axis=1)
+    arrow = Line2D([], [], color=FORCE, linewidth=2.0, label=f"force on the object, {sizes.min():.3g} to {sizes.max():.3g} N")
+    labels = {
+        INSIDE: f"friction cone, used up to {100.0 * _EDGE_SHARE:.0f} %",
+        EDGE: f"friction cone, used above {100.0 * _EDGE_SHARE:.0f} %",
+    }
+    drawn = [EDGE] * bool((used > _EDGE_SHARE).any()) + [INSIDE] * bool((used <= _EDGE_SHARE).any())
+    cones = [Patch(facecolor=colour, alpha=0.4, label=labels[colour]) for colour in drawn]
+    axes.legend(handles=[arrow, *cones], frameon=False, fontsize=9, loc="upper left")
 
 
 def _draw_object(axes: Any, shape: Shape) -> Array:

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from graspforce.core.errors import InvalidInput
 from graspforce.force.solution import Solution
 
+_OBJECTIVE_UNITS = {"force": "N²", "max_normal": "N", "sum_normal": "N", "margin": "N"}  # torques are weighted
 NORMAL, TANGENTIAL, LIMIT, MOTOR = "#0072B2", "#E69F00", "#CC3311", "#56B4E9"
 
 
@@ -31,9 +32,9 @@ def plot_solution(solution: Solution) -> Figure:
     if with_motors:
         _plot_torques(panels[2], solution)
     worst = 100.0 * float(solution.friction_used.max(initial=0.0))
-    figure.suptitle(
-        f"{solution.status.value}: friction used at most {worst:.0f} %, objective {solution.objective:.4g}", fontsize=11
-    )
+    status, kind = solution.status.value.capitalize(), solution.original_problem.objective.type
+    unit = f" {_OBJECTIVE_UNITS[kind]}" if kind in _OBJECTIVE_UNITS else ""
+    figure.suptitle(f"{status}: friction used at most {worst:.0f} %, objective {solution.objective:.4g}{unit}", fontsize=11)
     return figure
 
 

@@ -304,7 +304,8 @@ class RequestHandler:
         """Answer ``explain``."""
         reject_backend(options.backend)
         problem, direction = self._problem_and_direction(record)
-        return explain(problem, direction, seconds=self._answer_seconds(options)).to_dict()
+        seconds = min(self._seconds_left(options), _MAX_EXPLANATION_TIME)
+        return explain(problem, direction, seconds=seconds).to_dict()
 
     def _problem_and_direction(self, record: Any) -> tuple[ForceProblem, Any]:
         """Return the force problem of a request, and its optional direction."""
@@ -390,9 +391,14 @@ class RequestHandler:
         """Return the record of a force problem's solution."""
         is_small = check_matrix_entries(problem, self._limits.matrix_entries) <= _MAX_ENTRIES_TO_EXPLAIN
         explain_seconds = self._answer_seconds(options) if is_small else 0.0
-        return solve(problem, options.backend, explain_seconds=explain_seconds).to_dict()
+        return solve(problem, options.backend, explain_seconds=explain_seconds, deadline=self._seconds_left(options)).to_dict()
 
     def _answer_seconds(self, options: _RequestOptions) -> float:
         """Return the time for numbers beyond the solution, s."""
         remaining = options.deadline - _SEND_TIME - time.perf_counter()  # s
         return min(max(remaining, 0.0), _MAX_EXPLANATION_TIME)
+
+    def _seconds_left(self, options: _RequestOptions) -> float:
+        """Return the time for the work on a request, s: the rest of its budget without the time to send the answer."""
+        remaining = max(options.deadline - time.perf_counter(), 0.0)  # s
+        return max(remaining - _SEND_TIME, 0.5 * remaining)

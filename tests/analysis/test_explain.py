@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import time
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from support.random_problems import random_problem
 
-from graspforce import Actuation, Contact, ForceProblem, InvalidInput, Status, explain, solve
+from graspforce import Actuation, Contact, ForceProblem, InvalidInput, SolverSettings, Status, explain, solve
 from graspforce.cli import main
 from graspforce.force.backends import clarabel
 
@@ -74,15 +75,62 @@ def test_the_torque_factor_is_the_border_of_feasibility():
             assert solve(other, explain=False).found == feasible
 
 
-@pytest.mark.parametrize("weight", [4.0, 16.0])
-def test_numbers_after_the_deadline_are_none(weight):
-    answer = explain(pair(weight), (0, 0, 1.0, 0, 0, 0), seconds=0.0)
-    assert answer.solution.certificate.verified
-    for number in (answer.slip_margin, answer.friction_factor, answer.torque_factor, answer.wrench_fraction, answer.payload):
-        assert number is None
+def test_everything_after_the_deadline_is_none():
+    """The kernel stops after one iteration, which is no solution, and no other solver begins."""
+    answer = explain(pair(4.0), (0, 0, 1.0, 0, 0, 0), seconds=0.0)
+    assert answer.solution.status is Status.FAILED
+    assert answer.solution.timed_out
+    assert answer.limits == ()
     record = json.loads(json.dumps(answer.to_dict(), allow_nan=False))
-    assert record["wrench_fraction"] is record["nearest_wrench"] is None
-    assert record["sentences"]
+    numbers = ("slip_margin", "friction_factor", "torque_factor", "wrench_fraction", "payload", "nearest_wrench")
+    assert all(record[name] is None for name in numbers)
+    assert record["solution"]["timed_out"] is True
+    assert answer.sentences == ("The time was over before forces or a proof of infeasibility were found.",)
+
+
+def test_a_proof_of_the_first_iteration_is_kept():
+    """10 N can be held. What would make 16 N feasible takes more time."""
+    answer = explain(pair(16.0), (0, 0, 1.0, 0, 0, 0), seconds=0.0)
+    assert answer.solution.status is Status.INFEASIBLE
+    assert answer.solution.certificate.verified
+    assert answer.friction_factor is answer.wrench_fraction is answer.nearest_wrench is answer.payload is None
+
+
+@pytest.mark.parametrize("weight", [4.0, 16.0])
+@pytest.mark.parametrize("seconds", [1e-6, 5e-6])
+def test_a_deadline_of_microseconds_gives_a_certified_answer_or_none(weight, seconds):
+    """Whether the kernel ends in time depends on the machine; the other numbers need more."""
+    answer = explain(pair(weight), (0, 0, 1.0, 0, 0, 0), seconds=seconds)
+    solution = answer.solution
+    assert solution.timed_out == (solution.status is Status.FAILED)
+    assert answer.wrench_fraction is answer.payload is answer.slip_margin is answer.friction_factor is None
+
+
+def test_a_deadline_interrupts_the_fallback_and_the_proof(monkeypatch):
+    """The kernel's answer is refused; each program of the fallback then takes as long as it may, and proves nothing."""
+    own, limits = clarabel.ClarabelBackend(), []
+
+    def late(program, time_limit=None):
+        limits.append(time_limit)
+        end = time.perf_counter() + time_limit
+        while time.perf_counter() < end:
+            pass
+        return dataclasses.replace(own.solve_program(program), converged=False)
+
+    def refused(problem, settings, guess=None):
+        limits.append(settings.time_limit)
+        return own.solve(problem, SolverSettings(max_iterations=1))
+
+    backend = SimpleNamespace(name=own.name, solve=refused, start_session=own.start_session, solve_program=late)
+    monkeypatch.setattr("graspforce.force.backends.registry.general_backend", lambda: backend)
+    kernel = SolverSettings(max_iterations=1)
+    solution = solve(pair(4.0), settings=kernel, deadline=0.02)
+    assert solution.status is Status.FAILED
+    assert solution.timed_out
+    assert len(limits) <= 2  # none of them, if the machine paused before
+    assert all(0.0 < limit <= 0.02 for limit in limits)
+    with pytest.raises(InvalidInput, match="deadline"):
+        solve(pair(4.0), deadline=-1.0)
 
 
 def test_a_solver_in_progress_stops_at_the_deadline(monkeypatch):

@@ -68,7 +68,7 @@ def test_waiting_requests_of_a_client_that_has_disconnected_are_dropped(monkeypa
     entered, gate = threading.Semaphore(0), threading.Event()
     solved = queue.SimpleQueue()
 
-    def solve(problem, backend, explain_seconds):
+    def solve(problem, backend, **limits):
         entered.release()
         assert gate.wait(TIMEOUT)
         solved.put(problem)
@@ -92,7 +92,7 @@ def test_flood_of_names_gets_one_share(monkeypatch):
     entered, gate = threading.Semaphore(0), threading.Event()
     order = []
 
-    def solve(problem, backend, explain_seconds):
+    def solve(problem, backend, **limits):
         entered.release()
         assert gate.wait(TIMEOUT)
         order.append(problem.name)
@@ -153,7 +153,7 @@ def test_too_large_messages_are_refused_before_they_are_sent_or_read(server, cli
 def test_request_without_a_budget_gets_the_default_one(monkeypatch):
     entered, gate = threading.Semaphore(0), threading.Event()
 
-    def solve(problem, backend, explain_seconds):
+    def solve(problem, backend, **limits):
         entered.release()
         assert gate.wait(TIMEOUT)
         raise RequestRefused("overloaded", "the end of the test")

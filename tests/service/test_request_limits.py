@@ -49,9 +49,7 @@ def test_request_past_its_deadline_is_not_solved(monkeypatch):
 
 
 def test_answer_past_its_deadline_is_refused(monkeypatch):
-    monkeypatch.setattr(
-        request_handler, "solve", lambda problem, backend, explain_seconds: time.sleep(0.03) or gf.solve(problem)
-    )
+    monkeypatch.setattr(request_handler, "solve", lambda problem, backend, **limits: time.sleep(0.03) or gf.solve(problem))
     assert error_code("solve", {**pinch(), "budget": 0.02}) == "deadline"
 
 
@@ -73,7 +71,7 @@ def test_explanation_time_leaves_time_to_send_and_is_limited(budget, most, monke
     monkeypatch.setattr(
         request_handler,
         "solve",
-        lambda problem, backend, explain_seconds: explain_times.append(explain_seconds) or gf.solve(problem),
+        lambda problem, backend, explain_seconds, deadline: explain_times.append(explain_seconds) or gf.solve(problem),
     )
     request = infeasible_pinch() if budget is None else {**infeasible_pinch(), "budget": budget}
     ask("solve", request, received=time.perf_counter() - 5.0)

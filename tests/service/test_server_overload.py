@@ -63,10 +63,10 @@ class Gate:
     def __init__(self):
         self.open, self.entered = threading.Event(), threading.Semaphore(0)
 
-    def __call__(self, problem, backend, explain_seconds):
+    def __call__(self, problem, backend, explain_seconds, deadline):
         self.entered.release()
         assert self.open.wait(TIMEOUT)
-        return gf.solve(problem, backend, explain_seconds=explain_seconds)
+        return gf.solve(problem, backend, explain_seconds=explain_seconds, deadline=deadline)
 
 
 # ── floods and slow work ───────────────────────────────────────────────────────────────────────────────────────────────────

@@ -7,8 +7,10 @@ import pytest
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from graspforce import Contact, ForceProblem, InvalidInput, explain, sensitivities, solve
+from graspforce.analysis.contact_regions import ContactRegions, contact_regions
 from graspforce.cli import main
-from graspforce.view import plot_limits, plot_payload, plot_sensitivities, plot_wrench_set, show
+from graspforce.geometry import Sphere
+from graspforce.view import plot_contact_regions, plot_limits, plot_payload, plot_sensitivities, plot_wrench_set, show
 
 
 def pair(weight: float) -> ForceProblem:
@@ -25,14 +27,15 @@ def ring() -> ForceProblem:
 
 
 def test_the_plot_of_limits_has_a_bar_for_each_limit():
-    answer = explain(pair(4.0), seconds=0.0)
+    answer = explain(pair(4.0))
     figure = plot_limits(answer)
     [axes] = figure.axes
     widths = sorted(bar.get_width() for bar in axes.patches)
     assert widths == pytest.approx(sorted(100.0 * limit.used for limit in answer.limits))
     assert "uses 100 % of its friction" in axes.get_title()
+    assert [text.get_text() for text in axes.texts] == ["6 N left"] * 2 + ["nothing left"] * 2  # 4 N of 10 N, and 2 N of 2 N
     with pytest.raises(InvalidInput, match="explanation"):
-        plot_limits(explain(pair(40.0), seconds=0.0))
+        plot_limits(explain(pair(40.0)))
 
 
 def test_the_payload_of_a_pair_is_drawn_by_direction():
@@ -41,7 +44,7 @@ def test_the_payload_of_a_pair_is_drawn_by_direction():
     [axes] = figure.axes
     amounts = axes.lines[0].get_ydata()
     assert (amounts[2], amounts[6]) == pytest.approx((6.0, 14.0), rel=1e-6)
-    assert "at least 6 N" in axes.get_title()
+    assert "at least 6 N, the least at 90° from +x" in axes.get_title()
     with pytest.raises(InvalidInput, match="plane"):
         plot_payload(pair(4.0), "zz")
 
@@ -59,11 +62,27 @@ def test_the_section_of_the_wrench_set_of_a_pair_is_a_disc():
     ends = np.column_stack(figure.axes[0].lines[0].get_data())
     assert np.linalg.norm(ends, axis=1) == pytest.approx(np.full(17, 10.0), rel=1e-6)
     assert figure.axes[0].get_xlabel() == "fx (N)"
+    assert "fx from -10 to 10 N" in figure.axes[0].get_title()
     for bad in ("fx", "fx,fx", "fx,fq"):
         with pytest.raises(InvalidInput, match="plane"):
             plot_wrench_set(pair(4.0), bad)
     with pytest.raises(InvalidInput, match="infeasible"):
         plot_wrench_set(pair(40.0))
+
+
+def test_the_map_of_regions_has_the_distances_by_direction():
+    contacts = [
+        Contact((0, y, 0), (0, -y, 0), 0.4, model="soft", torsional_friction=0.005, max_normal=10.0) for y in (0.03, -0.03)
+    ]
+    regions = contact_regions(ForceProblem(contacts, (0, 0, 6.0, 0, 0, 0)), Sphere(0.03), directions=4)
+    figure = regions.plot()
+    for axes, region in zip(figure.axes, regions.regions, strict=True):
+        corners = axes.patches[0].get_xy()[:4]
+        assert np.linalg.norm(corners, axis=1) == pytest.approx(1e3 * region.distances)
+    shortest = min(region.radius for region in regions.regions)
+    assert f"may err by {1e3 * shortest:.3g} mm" in figure.get_suptitle()
+    with pytest.raises(InvalidInput, match="regions"):
+        plot_contact_regions(ContactRegions("payload", ()))
 
 
 def test_forces_are_drawn_in_their_cones():
@@ -84,6 +103,7 @@ def test_the_commands_write_a_plot(command, tmp_path, capsys):
 
     file, picture = tmp_path / "pair.json", tmp_path / "plot.png"
     file.write_text(json.dumps(pair(4.0).to_dict()))
-    assert main([command, str(file), "--budget", "0", "--plot", str(picture)]) == 0
+    budget = {"quality": "0", "explain": "60"}[command]  # s
+    assert main([command, str(file), "--budget", budget, "--plot", str(picture)]) == 0
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert capsys.readouterr().out
