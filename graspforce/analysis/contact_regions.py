@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 KEPT = ("closure", "payload")
 _STEPS = 32  # of a line
-_BISECTIONS = 8  # of its last step
+_BISECTIONS = 6  # of its last step
 _OFF_SURFACE = 1e-3  # characteristic lengths: contacts farther from the surface do not touch it
 
 Place = tuple[Array, Array]  # position (3,) and frame (3, 3) in O
@@ -111,7 +111,7 @@ def contact_regions(
         kept: "closure" or "payload", as in `ContactRegion`.
         directions: number of directions, 4 to 360.
         largest: largest distance that is tried, m; by default π times the characteristic length of the contacts.
-        deadline: time of the clock `time.perf_counter`, s, after which no further region is begun.
+        deadline: time of the clock `time.perf_counter`, s, after which no further region is returned.
 
     Raises:
         InvalidInput: a contact that does not touch the surface, a value that is not allowed, or for the payload a frictionless
@@ -120,17 +120,27 @@ def contact_regions(
     fields.check_choice(kept, "kept", KEPT)
     fields.check_integer(directions, "directions", minimum=4, maximum=360)
     most = np.pi * problem.length if largest is None else arrays.check_number(largest, "largest", above=0.0)
-    smooth = [model is ContactModel.FRICTIONLESS for model in problem.contacts.models]
-    if kept == "payload" and problem.actuation is not None and any(smooth):
+    if kept == "payload" and not has_movable_contacts(problem):
         raise InvalidInput("kept", kept, "closure: the Jacobian of a frictionless contact is known along its normal only")
     places = _places_on_surface(problem, shape)
     holds = _is_closed if kept == "closure" else _holds_payload
-    regions = []
+    regions: list[ContactRegion] = []
     for i, place in enumerate(places):
-        if time.perf_counter() >= deadline:
+        walk = _Walk(shape, most, lambda p, i=i: holds(problem, i, p), deadline)
+        region = _region(i, kept, place, walk, directions)
+        if region is None:
             break
-        regions.append(_region(i, place, shape, most, directions, kept, lambda p, i=i: holds(problem, i, p)))
+        regions.append(region)
     return ContactRegions(kept, tuple(regions))
+
+
+def has_movable_contacts(problem: ForceProblem) -> bool:
+    """Return whether the Jacobian of each contact is known in all directions: not of a frictionless contact of a hand.
+
+    Args:
+        problem: the force problem.
+    """
+    return problem.actuation is None or ContactModel.FRICTIONLESS not in problem.contacts.models
 
 
 def _places_on_surface(problem: ForceProblem, shape: Shape) -> list[Place]:
@@ -142,49 +152,61 @@ def _places_on_surface(problem: ForceProblem, shape: Shape) -> list[Place]:
     return list(zip(shape.project_to_surface(contacts.p_OC), contacts.R_OC, strict=True))
 
 
-def _region(
-    contact: int,
-    place: Place,
-    shape: Shape,
-    most: float,
-    directions: int,
-    kept: str,
-    holds: Callable[[Place], bool],
-) -> ContactRegion:
-    """Return the region of one contact."""
-    is_held, ends, points, distances = holds(place), [], [], []
-    for angle in 2.0 * np.pi * np.arange(directions) / directions:
+@dataclass(frozen=True, slots=True)
+class _Walk:
+    """What a walk along the surface needs.
+
+    Args:
+        shape: the surface.
+        most: largest distance, m.
+        holds: whether the grasp has the property with the contact at a place.
+        deadline: time of the clock `time.perf_counter`, s.
+    """
+
+    shape: Shape
+    most: float
+    holds: Callable[[Place], bool]
+    deadline: float
+
+
+def _region(contact: int, kept: str, place: Place, walk: _Walk, directions: int) -> ContactRegion | None:
+    """Return the region of one contact; None after the deadline."""
+    ends, points, distances = [], [], []
+    for k in range(directions):
+        if time.perf_counter() >= walk.deadline:
+            return None
+        angle = 2.0 * np.pi * k / directions
         heading = place[1][:, 0] * np.cos(angle) + place[1][:, 1] * np.sin(angle)
-        point, distance, end = _walk(place, heading, shape, most, holds) if is_held else (place[0], 0.0, "lost")
+        point, distance, end = _line(place, heading, walk)
         points.append(point)
         distances.append(distance)
         ends.append(end)
     return ContactRegion(contact, kept, arrays.freeze(points), arrays.freeze(distances), tuple(ends))
 
 
-def _walk(place: Place, heading: Array, shape: Shape, most: float, holds: Callable[[Place], bool]) -> tuple[Array, float, str]:
+def _line(place: Place, heading: Array, walk: _Walk) -> tuple[Array, float, str]:
     """Return the last point of a line with the property, its distance along the surface, and why the line ends."""
-    step, distance = most / _STEPS, 0.0
-    while distance < (1.0 - 1e-9) * most:
-        length = min(step, most - distance)
-        following = _advance(place, heading, shape, length)
-        if following is None or not holds(following[0]):
-            best, further = _last_good(place, heading, shape, length, holds)
+    step, distance = walk.most / _STEPS, 0.0
+    if not walk.holds(place):
+        return place[0], 0.0, "lost"
+    while distance < (1.0 - 1e-9) * walk.most:
+        length = min(step, walk.most - distance)
+        following = _advance(place, heading, walk.shape, length)
+        if following is None or not walk.holds(following[0]):
+            best, further = _last_good(place, heading, walk, length)
             return best, distance + further, "edge" if following is None else "lost"
         distance += float(np.linalg.norm(following[0][0] - place[0]))
         place, heading = following
     return place[0], distance, "limit"
 
 
-def _last_good(
-    place: Place, heading: Array, shape: Shape, length: float, holds: Callable[[Place], bool]
-) -> tuple[Array, float]:
+def _last_good(place: Place, heading: Array, walk: _Walk, length: float) -> tuple[Array, float]:
     """Return the last point with the property within a step at whose end it is lost, and its distance, m."""
     low, high, best = 0.0, length, place[0]
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        there = _advance(place, heading, shape, middle)
-        if there is not None and holds(there[0]):
+        there = _advance(place, heading, walk.shape, middle)
+        if there is not None and walk.holds(there[0]):
             low, best = middle, there[0][0]
         else:
             high = middle
@@ -202,8 +224,8 @@ def _advance(place: Place, heading: Array, shape: Shape, length: float) -> tuple
     if float(normal @ R[:, 2]) <= 0.0:  # around an edge
         return None
     turn = _rotation_between(R[:, 2], normal)
-    ahead = turn @ heading
-    return (there, turn @ R), ahead / np.linalg.norm(ahead)
+    next_heading = turn @ heading
+    return (there, turn @ R), next_heading / np.linalg.norm(next_heading)
 
 
 def _rotation_between(a: Array, b: Array) -> Array:

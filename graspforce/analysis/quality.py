@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from graspforce.analysis.contact_errors import ContactErrors, payload_contact_errors, tolerated_contact_errors
+from graspforce.analysis.contact_regions import ContactRegions, contact_regions, has_movable_contacts
 from graspforce.analysis.ellipsoids import Ellipsoid, FingerEllipsoids, finger_ellipsoids, object_ellipsoid, wrench_ellipsoid
 from graspforce.analysis.largest_wrench import LargestWrench, largest_wrench
 from graspforce.analysis.wrench_set import VolumeBounds, limited_wrench_ball, wrench_volume
@@ -24,8 +25,10 @@ from graspforce.core import arrays
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.text_table import Table
 from graspforce.force.problem import ForceProblem
+from graspforce.geometry.shape import Shape
 
 SCHEMA = "graspforce/quality/1"
+_DIRECTIONS = 8  # of the regions of contacts
 
 _ANSWERS = {True: "yes", False: "no", None: "–"}
 
@@ -56,6 +59,9 @@ class Quality:
         volume: bounds on the volume of the wrenches with Σ f_n ≤ 1 N, N⁶; closer for at most 50 contacts.
         contact_errors: errors of contact places and normals up to which force closure is guaranteed.
         payload_errors: errors of each contact up to which the wrench of the problem is held; None if not asked for.
+        closure_regions: how far each contact may move along the surface before closure is lost; None without a shape.
+        payload_regions: likewise before the wrench of the problem cannot be held; None also if a hand has a
+            frictionless contact.
     """
 
     length: float
@@ -73,6 +79,8 @@ class Quality:
     volume: VolumeBounds | None
     contact_errors: ContactErrors | None
     payload_errors: ContactErrors | None = None
+    closure_regions: ContactRegions | None = None
+    payload_regions: ContactRegions | None = None
 
     def __str__(self) -> str:
         return str(Table(("measure", "value", "unit"), tuple(self._rows()), "Grasp quality"))
@@ -104,6 +112,10 @@ class Quality:
             if errors is not None:
                 rows.append((f"position error that {kept} survives", f"{1e3 * errors.position.min():.3g}", "mm"))
                 rows.append((f"normal error that {kept} survives", f"{np.degrees(errors.normal.min()):.3g}", "°"))
+        for regions in (self.closure_regions, self.payload_regions):
+            if regions is not None and regions.regions:
+                least = 1e3 * min(region.radius for region in regions.regions)
+                rows.append((f"shift along the surface that {regions.kept} survives", f"{least:.3g}", "mm"))
         return rows
 
     def to_dict(self) -> JsonRecord:
@@ -124,6 +136,8 @@ class Quality:
             "volume": None if self.volume is None else dataclasses.asdict(self.volume),
             "contact_errors": None if self.contact_errors is None else self.contact_errors.to_dict(),
             "payload_errors": None if self.payload_errors is None else self.payload_errors.to_dict(),
+            "closure_regions": None if self.closure_regions is None else self.closure_regions.to_dict(),
+            "payload_regions": None if self.payload_regions is None else self.payload_regions.to_dict(),
             "payload": None if self.payload is None else self.payload.to_dict(),
             "fingers": [finger.to_dict() for finger in self.fingers],
             "object_motion": None if self.object_motion is None else self.object_motion.to_dict(),
@@ -136,6 +150,7 @@ def quality(
     *,
     seconds: float | None = None,
     payload_errors: bool = False,
+    shape: Shape | None = None,
 ) -> Quality:
     """Return the quality and payload of the grasp of a force problem.
 
@@ -145,9 +160,11 @@ def quality(
             force of 1 N along z if that is zero.
         seconds: time after which no further measure is computed, s; by default all are.
         payload_errors: also compute the errors of contacts that the payload survives, which takes some tenths of a second.
+        shape: the object's surface in O, to compute regions of contacts on it, which takes about a second.
 
     Raises:
-        InvalidInput: a direction of zero, a wrong shape, numbers that are not finite, or negative seconds.
+        InvalidInput: a direction of zero, an array of another shape, numbers that are not finite, negative seconds, or as
+            `contact_regions`.
     """
     limit = np.inf if seconds is None else arrays.check_number(seconds, "seconds", minimum=0.0)
     deadline = time.perf_counter() + limit
@@ -176,7 +193,16 @@ def quality(
         volume=before_deadline(lambda: wrench_volume(contacts)),
         contact_errors=None if epsilon is None else tolerated_contact_errors(contacts, epsilon.radius),
         payload_errors=before_deadline(lambda: payload_contact_errors(problem)) if payload_errors else None,
+        closure_regions=_regions(problem, shape, "closure", deadline),
+        payload_regions=_regions(problem, shape, "payload", deadline),
     )
+
+
+def _regions(problem: ForceProblem, shape: Shape | None, kept: str, deadline: float) -> ContactRegions | None:
+    """Return the regions of the contacts; None without a shape, and for the payload if a contact's Jacobian is not known."""
+    if shape is None or (kept == "payload" and not has_movable_contacts(problem)):
+        return None
+    return contact_regions(problem, shape, kept, directions=_DIRECTIONS, deadline=deadline)
 
 
 def _without_friction(contacts: ContactSet) -> ContactSet:

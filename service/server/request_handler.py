@@ -23,6 +23,7 @@ from graspforce.core.json_text import JsonRecord
 from graspforce.core.printable import escape_controls
 from graspforce.force.problem import ForceProblem
 from graspforce.force.solver import solve
+from graspforce.geometry.shape import Solid
 from graspforce.hand.hand import Hand
 from graspforce.service.server.force_requests import check_matrix_entries, make_force_problem
 from graspforce.service.server.limits import ServerLimits
@@ -297,8 +298,12 @@ class RequestHandler:
     def _quality(self, record: Any, options: _RequestOptions) -> JsonRecord:
         """Answer ``quality``."""
         reject_backend(options.backend)
+        shape = None
+        if isinstance(record, dict) and record.get("shape") is not None:
+            record = dict(record)
+            shape = Solid.from_dict(record.pop("shape"))
         problem, direction = self._problem_and_direction(record)
-        return quality(problem, direction, seconds=self._answer_seconds(options)).to_dict()
+        return quality(problem, direction, seconds=self._answer_seconds(options), shape=shape).to_dict()
 
     def _explain(self, record: Any, options: _RequestOptions) -> JsonRecord:
         """Answer ``explain``."""

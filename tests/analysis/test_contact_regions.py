@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 import graspforce as gf
 from graspforce.analysis.contact_regions import contact_regions
+from graspforce.cli import main
 from graspforce.contact.closure import is_force_closed
 from graspforce.geometry import Box, Cylinder, Sphere
 
@@ -27,7 +29,8 @@ def two_soft_contacts() -> gf.ForceProblem:
 def test_a_soft_contact_on_a_sphere_may_move_by_four_friction_angles_of_half_its_radius():
     """The line between the contacts stays in both cones: an arc α turns it by α/2 against both normals, so α = 2 atan μ.
 
-    A line follows the surface by chords of the steps, which are shorter than the arc by α h²/24 for steps of angle h.
+    A line follows the surface by chords of the steps, shorter than the arc by α h²/24 for steps of angle h. Its end is
+    found to a 64th of a step, which is 0.05 mm of 23 mm.
     """
     arc = 2.0 * np.arctan(FRICTION) * RADIUS
     found = contact_regions(two_soft_contacts(), Sphere(RADIUS), "closure", directions=4)
@@ -36,7 +39,7 @@ def test_a_soft_contact_on_a_sphere_may_move_by_four_friction_angles_of_half_its
         np.testing.assert_allclose(region.distances, arc, rtol=5e-3)
         place = two_soft_contacts().contacts.p_OC[region.contact]
         angles = np.arccos(region.points @ place / RADIUS**2)
-        np.testing.assert_allclose(angles, 2.0 * np.arctan(FRICTION), rtol=1e-3)
+        np.testing.assert_allclose(angles, 2.0 * np.arctan(FRICTION), rtol=3e-3)
 
 
 def test_the_ends_of_regions_separate_closed_and_open_grasps():
@@ -66,7 +69,7 @@ def test_the_weight_of_a_plate_stays_above_its_supports():
     """
     [first, *_] = contact_regions(plate(), Box((0.2, 0.2, 0.02)), directions=4, largest=0.08).regions
     assert first.ends == ("edge", "lost", "lost", "lost")
-    np.testing.assert_allclose(first.distances, (0.06, 0.06, 0.04, 0.06), rtol=1e-3)
+    np.testing.assert_allclose(first.distances, (0.06, 0.06, 0.04, 0.06), rtol=2e-3)
 
 
 def test_a_region_ends_at_an_edge_of_the_surface():
@@ -79,7 +82,7 @@ def test_a_region_ends_at_an_edge_of_the_surface():
     regions = contact_regions(problem, Cylinder(0.03, 0.02), "closure", directions=4, largest=0.1).regions
     assert all(region.ends[0] == region.ends[2] == "edge" for region in regions)
     for region in regions:
-        assert region.distances[[0, 2]] == pytest.approx([0.01, 0.01], rel=2e-3)
+        assert region.distances[[0, 2]] == pytest.approx([0.01, 0.01], rel=1e-2)
 
 
 def test_forces_exist_at_the_ends_of_payload_regions_also_with_motors():
@@ -109,3 +112,26 @@ def test_refuses_contacts_off_the_surface_and_values_out_of_range():
     with pytest.raises(gf.InvalidInput, match="along its normal only"):
         contact_regions(driven, Box((0.2, 0.2, 0.02)))
     assert contact_regions(problem, sphere, deadline=time.perf_counter() - 1.0).regions == ()
+
+
+def test_the_command_takes_a_surface_and_draws_the_regions(tmp_path, capsys):
+    file, picture = tmp_path / "pair.json", tmp_path / "regions.png"
+    problem = two_soft_contacts()
+    file.write_text(json.dumps(problem.to_dict()))
+    command = ["quality", str(file), "--regions-plot", str(picture)]
+    assert main([*command, "--object", f"sphere:{RADIUS}", "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert [region["kept"] for region in record["closure_regions"]] == ["closure", "closure"]
+    expected = contact_regions(problem, Sphere(RADIUS), directions=8)
+    for own, region in zip(record["payload_regions"], expected.regions, strict=True):
+        np.testing.assert_allclose(own["distances"], region.distances, rtol=1e-12)
+    assert picture.stat().st_size > 1000
+    picture.unlink()
+    assert main(command) == 1
+    assert "--object" in capsys.readouterr().err
+
+
+def test_quality_after_its_deadline_has_no_regions():
+    late = gf.quality(two_soft_contacts(), shape=Sphere(RADIUS), seconds=0.0)
+    assert late.closure_regions.regions == late.payload_regions.regions == ()
+    assert "shift along" not in str(late)

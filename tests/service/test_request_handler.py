@@ -10,7 +10,7 @@ import pytest
 from support import control_requests
 from support.invalid_problems import assert_names
 from support.request_handler import CODECS, DISTRIBUTE, HAND, HANDLER, ask, foreign_payload
-from support.service_requests import BAD_RECORDS, PINCH_OBJECTIVE, distribute_request, infeasible_pinch, pinch
+from support.service_requests import BAD_RECORDS, HALF_WIDTH, PINCH_OBJECTIVE, distribute_request, infeasible_pinch, pinch
 
 import graspforce as gf
 from graspforce.core.errors import BackendError, InvalidInput, ModelError
@@ -253,3 +253,14 @@ def test_replies_with_torques_name_the_joints_in_their_order():
     record = protocol.decode(answered.payload, protocol.JSON)
     assert record["joints"] == names
     assert len(record["torque"]) == len(names)
+
+
+def test_quality_of_a_request_with_a_shape_has_regions():
+    record = {**pinch(), "shape": {"type": "box", "edges": [2.0 * HALF_WIDTH, 0.06, 0.06]}}
+    ok, reply = ask("quality", record)
+    assert ok
+    assert [region["ends"] for region in reply["closure_regions"]] == [["lost"] * 8] * 2  # two point contacts: no closure
+    assert len(reply["payload_regions"]) == 2
+    ok, error = ask("quality", {**pinch(), "shape": {"type": "box", "edges": [3.0 * HALF_WIDTH, 0.06, 0.06]}})
+    assert not ok
+    assert error["field"] == "contacts[0].position"

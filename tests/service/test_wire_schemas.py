@@ -137,7 +137,7 @@ def test_the_records_of_this_test_have_all_parts_of_requests():
         seen |= {key for _, key in records(record, {k: schema[k] for k in ("$ref", "anyOf") if k in schema}, schema)}
     known = {key for name in SCHEMA_NAMES if name.endswith(("request", "state")) for key in wire_schema(name)["$defs"]}
     assert known - seen <= {
-        "CloseRequest", "StatusRequest", "HandRequest", "GraspRank", "GraspClass", "AnalysisRequest",
+        "CloseRequest", "StatusRequest", "HandRequest", "GraspRank", "GraspClass", "AnalysisRequest", "QualityRequest",
         "JointState", "JointMotionRecord", "ForceState", "MeasuredTorqueRecord", "DesiredTorqueRecord",
     }  # fmt: skip
 

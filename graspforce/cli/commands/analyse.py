@@ -11,7 +11,9 @@ import typer
 
 import graspforce
 from graspforce.cli.commands.output_arguments import AsJson, Force
+from graspforce.cli.completions import complete_object
 from graspforce.cli.console import INFEASIBLE
+from graspforce.cli.options import parse_object
 from graspforce.cli.output_files import check_new_file
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import decode
@@ -32,6 +34,19 @@ Plane = Annotated[
     typer.Option(metavar="PLANE", help="Plane of the plot: xy, xz or yz for the payload; such as fx,mz for a set of wrenches."),
 ]
 
+Object = Annotated[
+    str | None,
+    typer.Option(
+        "--object",
+        metavar="OBJECT",
+        autocompletion=complete_object,
+        help="Surface in O, for regions of contacts: sphere:RADIUS, cylinder:RADIUS,HEIGHT, box:X,Y,Z (m), …, or a name.",
+    ),
+]
+RegionsPlot = Annotated[
+    Path | None, typer.Option(metavar="PNG", help="Write a map of the regions of contacts in which the payload is held.")
+]
+
 
 @app.command(epilog="Example: graspforce quality problem.json --direction 0,0,1,0,0,0")
 def quality(
@@ -43,13 +58,22 @@ def quality(
     payload_errors: Annotated[
         bool, typer.Option("--payload-errors", help="Also compute the errors of contacts that the payload survives.")
     ] = False,
+    object_name: Object = None,
+    regions_plot: RegionsPlot = None,
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
     """Measure the grasp of a problem file: payload, closure, Ferrari–Canny measures, ellipsoids, tolerated errors."""
     check_new_file(plot, "plot", force)
+    check_new_file(regions_plot, "regions-plot", force)
     problem = load_problem(file)
-    answer = graspforce.quality(problem, _parse_direction(direction), seconds=budget, payload_errors=payload_errors)
+    shape = None if object_name is None else parse_object(object_name, None, None)[0].shape
+    if regions_plot is not None and shape is None:
+        raise InvalidInput("regions-plot", str(regions_plot), "absent without --object, whose surface has the regions")
+    asked = _parse_direction(direction)
+    answer = graspforce.quality(problem, asked, seconds=budget, payload_errors=payload_errors, shape=shape)
+    if regions_plot is not None and answer.payload_regions is not None:
+        answer.payload_regions.plot().savefig(regions_plot, dpi=110)
     if plot is not None:
         from graspforce.view import plot_payload, plot_wrench_set  # imported here because they are slow to import
 

@@ -28,7 +28,7 @@ _MOVES = (move_types.PathMoveRequest, move_types.FreeMoveRequest, move_types.Fin
 _REQUESTS: dict[str, tuple[tuple[type, ...], tuple[type, ...]]] = {
     "status": ((request_types.StatusRequest,), (StatusReply,)),
     "solve": ((request_types.SolveRequest,), (solution_types.SolutionReply,)),
-    "quality": ((request_types.AnalysisRequest,), (solution_types.QualityReply,)),
+    "quality": ((request_types.QualityRequest,), (solution_types.QualityReply,)),
     "explain": ((request_types.AnalysisRequest,), (solution_types.ExplainReply,)),
     "hands": ((request_types.HandRequest,), (reply_types.HandReply,)),
     "hands/forward": ((request_types.ForwardRequest,), (reply_types.ForwardReply,)),

@@ -24,6 +24,7 @@ from graspforce.service.wire.schemas.object_types import (
     GraspContactRecord,
     GraspRecord,
     PoseRecord,
+    ShapeType,
 )
 from graspforce.service.wire.schemas.settings_types import ControlSettingsType, UncertaintyType
 
@@ -149,6 +150,16 @@ class AnalysisRequest(ProblemRequest, forbid_unknown_fields=True, kw_only=True):
     """
 
     direction: Vector6 | None = None
+
+
+class QualityRequest(AnalysisRequest, forbid_unknown_fields=True, kw_only=True):
+    """The request `quality`.
+
+    Args:
+        shape: surface of the object in O, to compute the regions of contacts on it; null for none.
+    """
+
+    shape: ShapeType | None = None
 
 
 class ForwardRequest(EnvelopeRecord, forbid_unknown_fields=True, kw_only=True):

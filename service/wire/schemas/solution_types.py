@@ -7,7 +7,7 @@ from typing import Any, Literal
 from msgspec import Struct
 
 from graspforce.service.wire import protocol
-from graspforce.service.wire.schemas.array_types import Index, NotNegative, Numbers, Rows, Rows3, Vector6
+from graspforce.service.wire.schemas.array_types import Index, NotNegative, Numbers, Rows, Rows3, Vector3, Vector6
 from graspforce.service.wire.schemas.request_types import Sequence
 
 Code = Literal[protocol.REFUSAL_CODES + protocol.ERROR_CODES]  # type: ignore[valid-type]
@@ -273,6 +273,24 @@ class BallRecord(Struct, kw_only=True):
     weakest: Vector6
 
 
+class RegionRecord(Struct, kw_only=True):
+    """How far a contact may move along the object's surface.
+
+    Args:
+        contact: index of the contact.
+        kept: property of the grasp that the region keeps.
+        points: ends of lines along the surface in O, m; their directions turn from t₁ to t₂ in equal steps.
+        distances: their lengths along the surface, m.
+        ends: why each line ends: the property is lost, the surface has an edge, or the largest distance is reached.
+    """
+
+    contact: Index
+    kept: Literal["closure", "payload"]
+    points: list[Vector3]
+    distances: Numbers
+    ends: list[Literal["lost", "edge", "limit"]]
+
+
 class QualityReply(ReplyEnvelope, kw_only=True):
     """The reply to `quality`. Measures that did not fit in the budget are null.
 
@@ -292,6 +310,8 @@ class QualityReply(ReplyEnvelope, kw_only=True):
         volume: `lower` and `upper` bound on the volume of wrenches.
         contact_errors: errors of `position` (m) and `normal` (rad) of each contact that closure survives.
         payload_errors: the same that the payload survives.
+        closure_regions: regions of the contacts that keep closure, as far as these fitted in the budget; null without a shape.
+        payload_regions: regions of the contacts that keep the payload, likewise.
         payload: largest wrench along the direction.
         fingers: ellipsoids of `velocity` and `force` of the hand at each contact.
         object_motion: ellipsoid of the object's motion.
@@ -312,6 +332,8 @@ class QualityReply(ReplyEnvelope, kw_only=True):
     volume: dict[str, float] | None
     contact_errors: dict[str, Numbers] | None
     payload_errors: dict[str, Numbers] | None
+    closure_regions: list[RegionRecord] | None
+    payload_regions: list[RegionRecord] | None
     payload: LargestWrenchRecord | None
     fingers: list[dict[str, EllipsoidRecord]]
     object_motion: EllipsoidRecord | None
