@@ -15,6 +15,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,7 +31,6 @@ from graspforce.force.problem import ForceProblem
 from graspforce.force.problem_options import Objective
 from graspforce.force.solver import solve
 from graspforce.geometry.shape import Shape
-from graspforce.hand.actuation import Actuation
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -126,7 +126,7 @@ def contact_regions(
     holds = _is_closed if kept == "closure" else _holds_payload
     regions: list[ContactRegion] = []
     for i, place in enumerate(places):
-        walk = _Walk(shape, most, lambda p, i=i: holds(problem, i, p), deadline)
+        walk = _Walk(shape, most, partial(holds, problem, i), deadline)
         region = _region(i, kept, place, walk, directions)
         if region is None:
             break
@@ -250,10 +250,7 @@ def _moved(problem: ForceProblem, i: int, place: Place) -> ForceProblem:
     forces = rows[contacts.columns[rows] % 4 < 3]
     J = a.J.copy()
     J[forces] = turn @ a.J[forces]
-    limits = ([x if np.isfinite(x) else None for x in side.tolist()] for side in (a.lower, a.upper))
-    return ForceProblem(
-        moved.contacts, problem.w, Actuation(J, a.tau_u, *limits, weight=a.weight), problem.cone, problem.objective
-    )
+    return ForceProblem(moved.contacts, problem.w, a.replace(J=J), problem.cone, problem.objective)
 
 
 def _is_closed(problem: ForceProblem, i: int, place: Place) -> bool:

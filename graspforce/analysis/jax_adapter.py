@@ -18,7 +18,6 @@ from graspforce.analysis.gradients import (
     OptimalForces,
     OptimumBatch,
     data_gradient,
-    data_shapes,
     optimum_values,
     solve_with_data,
 )
@@ -26,6 +25,7 @@ from graspforce.analysis.sensitivity import DegenerateOptima
 from graspforce.core.errors import InvalidInput
 from graspforce.core.optional_libraries import optional_imports
 from graspforce.force.problem import ForceProblem
+from graspforce.force.problem_data import data_shapes
 
 with optional_imports("jax"):
     import jax
@@ -104,12 +104,12 @@ def _backward(problem: ForceProblem, degenerate: DegenerateOptima, data: dict[st
     def run(values: dict[str, Any], f: Any, tau: Any, objective: Any) -> Any:
         """Return the adjoint product on the CPU."""
         arrays, batch = _flat(problem, values)
-        seeds = [np.asarray(seed, dtype=float) for seed in (f, tau, objective)]
+        f, tau, objective = (np.asarray(seed, dtype=float) for seed in (f, tau, objective))
         if batch:
-            flat = (seed.reshape((-1, *seed.shape[len(batch) :])) for seed in seeds)
-            gradient = OptimumBatch(problem, arrays, degenerate).gradient(*flat)
+            f, tau, objective = (seed.reshape((-1, *seed.shape[len(batch) :])) for seed in (f, tau, objective))
+            gradient = OptimumBatch(problem, arrays, degenerate).gradient(f, tau, objective)
         else:
-            gradient = data_gradient(solve_with_data(problem, arrays, degenerate), *seeds[:2], float(seeds[2]))
+            gradient = data_gradient(solve_with_data(problem, arrays, degenerate), f, tau, float(objective))
         return {name: _unflat((gradient[name],), batch, value.dtype)[0] for name, value in values.items()}
 
     shapes = {name: jax.ShapeDtypeStruct(value.shape, value.dtype) for name, value in data.items()}
@@ -118,7 +118,8 @@ def _backward(problem: ForceProblem, degenerate: DegenerateOptima, data: dict[st
 
 def _flat(problem: ForceProblem, values: dict[str, Any]) -> tuple[dict[str, Any], tuple[int, ...]]:
     """Return arrays of JAX as arrays of NumPy with at most one batch axis, and the batch axes of `jax.vmap`."""
-    shapes, batch = data_shapes(problem), ()
+    shapes = data_shapes(problem)
+    batch: tuple[int, ...] = ()
     arrays = {name: np.asarray(value, dtype=float) for name, value in values.items()}
     for name, value in arrays.items():
         batch = value.shape[: value.ndim - len(shapes[name])] if name in shapes else batch

@@ -82,15 +82,17 @@ class _Optimum(torch.autograd.Function):  # type: ignore[misc]  # its type is no
         """Solve the problem or the batch; keep its derivatives for the backward pass."""
         arrays = {name: value.detach().cpu().numpy() for name, value in zip(names, data, strict=True)}
         if is_batch(problem, arrays):
-            ctx.answer = answer = OptimumBatch(problem, arrays, degenerate)
-            values = (answer.solutions.f, answer.solutions.torques, answer.solutions.objective)
+            batch = OptimumBatch(problem, arrays, degenerate)
+            ctx.answer, reasons = batch, batch.degenerate
+            values = (batch.solutions.f, batch.solutions.torques, batch.solutions.objective)
         else:
-            ctx.answer = answer = solve_with_data(problem, arrays, degenerate)
+            answer = solve_with_data(problem, arrays, degenerate)
+            ctx.answer, reasons = answer, answer.degenerate
             values = optimum_values(answer)
         ctx.names, ctx.data = names, [(value.dtype, value.device, value.dim()) for value in data]
         like = data[0] if data else torch.zeros((), dtype=torch.float64)
         tensors = (torch.tensor(value, dtype=like.dtype, device=like.device) for value in values)
-        return (*tensors, answer.degenerate)
+        return (*tensors, reasons)
 
     @staticmethod
     @torch.autograd.function.once_differentiable  # type: ignore[untyped-decorator]

@@ -153,8 +153,14 @@ class ProblemStack:
             residuals[i] = np.nan if known is None else (known.primal_residual, known.dual_residual, known.gap)
             self._store(int(i), answer)
         self._status = tuple(status)
-        values = (arrays.freeze(part) for part in (f, torques, self._objective(f, torques), residuals))
-        return StackedSolutions(self._status, *values, None if seeds is None else self.gradients(seeds))
+        return StackedSolutions(
+            self._status,
+            arrays.freeze(f),
+            arrays.freeze(torques),
+            arrays.freeze(self._objective(f, torques)),
+            arrays.freeze(residuals),
+            None if seeds is None else self.gradients(seeds),
+        )
 
     def check_seeds(self, given: Mapping[str, npt.ArrayLike]) -> dict[str, Array]:
         """Return derivatives of a function of the optimum, one row for each problem, checked.

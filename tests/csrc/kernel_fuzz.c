@@ -9,6 +9,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 
+#include "graspforce/adjoint.h"
 #include "graspforce/certify.h"
 #include "graspforce/grasp_matrix.h"
 #include "graspforce/solve.h"
@@ -36,7 +37,7 @@ static double special_number(void)
 
 /* ---- arrays of one problem, which are freed together -------------------------------------------------------------------- */
 
-enum { MAX_ARRAYS = 64 };
+enum { MAX_ARRAYS = 96 };
 static void *arrays[MAX_ARRAYS];
 static int array_count = 0;
 
@@ -180,6 +181,33 @@ static int compress_jacobian(gf_structure *s, gf_problem *problem, int k)
 
 /* ---- runs --------------------------------------------------------------------------------------------------------------- */
 
+/* Compute the gradients of a random function at a solution, right or wrong. Return the number of violated laws. */
+static int run_adjoint(int number, const gf_structure *s, const gf_problem *problem, int k, const gf_units *units,
+                       const gf_solution *solution, int is_optimal)
+{
+    const int N = s->contacts, n = s->joints;
+    const gf_moment_reference reference = {.centroid = {0.01, 0.02, 0.03}, .length = 0.05};
+    const gf_adjoint_places places = {numbers(3 * N, -0.1, 0.1, 0), numbers(9 * N, -1.0, 1.0, 0), &reference};
+    const gf_adjoint_seed seed_of = {.f = numbers(k, -1.0, 1.0, 0), .tau = numbers(n, -1.0, 1.0, 0), .objective = 1.0};
+    const int sizes[] = {6, N, 3 * N, 3 * N, n, n, n, k * n};
+    double *parts[8];
+    for (int a = 0; a < 8; a++) parts[a] = zeros(sizes[a]);
+    const gf_adjoint_gradient gradient = {parts[0], parts[1], parts[2], parts[3], parts[4], parts[5], parts[6], parts[7]};
+    int index, faults = 0;
+    const gf_adjoint_status status = gf_adjoint(s, problem, &places, units, solution, &seed_of, allocate(gf_adjoint_size(s)),
+                                                &gradient, &index);
+    if (status > GF_ADJOINT_UNSUPPORTED) faults += violated("the status of gradients is known", number);
+    const int limits = status >= GF_ADJOINT_LOWER_TORQUE ? n : N;
+    if (status >= GF_ADJOINT_CONE && status <= GF_ADJOINT_UPPER_TORQUE && (index < 0 || index >= limits))
+        faults += violated("an undecided limit has an index", number);
+    if ((s->facets > 0 || s->span != NULL) != (status == GF_ADJOINT_UNSUPPORTED))
+        faults += violated("gradients need exact cones and a dense J", number);
+    for (int a = 0; a < 8 && status == GF_ADJOINT_FOUND && is_optimal; a++)
+        for (int i = 0; i < sizes[a]; i++)
+            if (!isfinite(parts[a][i])) faults += violated("gradients are finite", number);
+    return faults;
+}
+
 /* Solve and certify one problem, cold and warm; count the statuses. Return the number of violated laws. */
 static int run_one(int number, int *counts)
 {
@@ -231,6 +259,8 @@ static int run_one(int number, int *counts)
         if (proven && status < GF_INFEASIBLE && measured && residuals.primal < 1e-8)
             faults += violated("feasible problems are not proven infeasible", number);
         if (proven && !(value > 0.0 && residual >= 0.0)) faults += violated("proofs have a positive value", number);
+        if (options.warm == 0)
+            faults += run_adjoint(number, &s, &problem, k, &units, &solution, status == GF_OPTIMAL && !rarity);
         w[0] *= 1.01;
     }
     return faults;
