@@ -22,6 +22,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -60,7 +61,7 @@ class Stack:
     """
 
     problem: gf.ForceProblem
-    data: dict[str, Array]
+    data: dict[str, Any]
     seeds: dict[str, Array]
 
 
@@ -123,7 +124,8 @@ def errors() -> tuple[dict[str, float], int, int, int]:
             if exact.degenerate or gradients.degenerate[i]:
                 continue
             compared += 1
-            products = exact.adjoint(*(stack.seeds[name][i] for name in ("f", "tau")), float(stack.seeds["objective"][i]))
+            f, tau, objective = (stack.seeds[name][i] for name in ("f", "tau", "objective"))
+            products = exact.adjoint(f, tau, float(objective))
             for name, value in products.items():
                 size = max(float(np.abs(value).max()), 1e-300)
                 largest[name] = max(largest[name], float(np.abs(getattr(gradients, name)[i] - value).max()) / size)
