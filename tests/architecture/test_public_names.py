@@ -14,7 +14,8 @@ NAMES = [
     "Grasp", "GraspForceError", "Hand", "Infeasibility", "InvalidInput", "Multipliers", "ObjectController", "Objective",
     "Quality", "Sensitivities", "Solution", "Solver", "SolverSettings", "StackedGradients", "StackedSolutions", "Status",
     "Uncertainty", "available_backends", "control", "explain", "find_grasp", "get_cmake_dir", "get_include", "load", "planning",
-    "problems", "quality", "sensitivities", "service", "simulation", "solve", "solve_batch", "solve_many", "solve_stack", "view",
+    "problems", "quality", "sensitivities", "service", "simulation", "solve", "solve_batch", "solve_many", "solve_stack",
+    "view",
 ]  # fmt: skip
 
 
