@@ -81,8 +81,9 @@ class RaceOutcome:
         """
         task = RaceTask(*(record[name] for name in RaceTask.__slots__))
         judgement = Judgement(Verdict(_OLDER_VERDICTS.get(record["verdict"], record["verdict"])), record["residual"])
-        own = (record[name] for name in ("seconds", "cold", "iterations", "varies"))
-        return cls(task, record["contacts"], record["feasible"], judgement, *own, record.get("reported", False))
+        own = (record[name] for name in ("contacts", "feasible"))
+        times = (record[name] for name in ("seconds", "cold", "iterations", "varies"))
+        return cls(task, *own, judgement, *times, time_is_reported=record.get("reported", False))
 
 
 def write_header(path: Path, conditions: dict[str, Any]) -> None:

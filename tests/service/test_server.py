@@ -74,9 +74,9 @@ def test_plain_zenoh_session_gets_answers_in_json(raw):
 
 def test_query_of_a_wildcard_gets_one_reply_for_each_key(raw):
     replies = get(raw, "**", b"{}")
-    # errors of solve, quality, explain, distribute, control, forward, inverse, grasp and plan (missing fields); answers of
-    # status and description
-    assert sorted(ok for ok, _, _ in replies) == [False] * 9 + [True] * 2
+    # errors of solve, quality, explain, distribute, control, forward, inverse, grasp, plan and regrasp (missing fields);
+    # answers of status and description
+    assert sorted(ok for ok, _, _ in replies) == [False] * 10 + [True] * 2
 
 
 # ── errors ─────────────────────────────────────────────────────────────────────────────────────────────────────────────────
