@@ -81,9 +81,9 @@ class RaceOutcome:
         """
         task = RaceTask(*(record[name] for name in RaceTask.__slots__))
         judgement = Judgement(Verdict(_OLDER_VERDICTS.get(record["verdict"], record["verdict"])), record["residual"])
-        own = (record[name] for name in ("contacts", "feasible"))
-        times = (record[name] for name in ("seconds", "cold", "iterations", "varies"))
-        return cls(task, *own, judgement, *times, time_is_reported=record.get("reported", False))
+        own = {name: record[name] for name in ("contacts", "feasible", "seconds", "cold", "iterations")}
+        flags = {"verdict_varies": record["varies"], "time_is_reported": record.get("reported", False)}
+        return cls(task, judgement=judgement, **own, **flags)
 
 
 def write_header(path: Path, conditions: dict[str, Any]) -> None:
