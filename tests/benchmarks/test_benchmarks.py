@@ -40,6 +40,8 @@ def benchmark(monkeypatch):
 def test_every_benchmark_imports_and_has_help(name, benchmark, monkeypatch, capsys):
     if name.startswith("drake"):
         pytest.importorskip("pydrake")
+    if name == "labelling":
+        pytest.importorskip("distributed")
     module = benchmark(name)
     if not hasattr(module, "main"):
         return  # a shared module

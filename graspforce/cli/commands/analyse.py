@@ -13,7 +13,6 @@ import graspforce
 from graspforce.cli.commands.output_arguments import AsJson, Force
 from graspforce.cli.completions import complete_object
 from graspforce.cli.console import INFEASIBLE
-from graspforce.cli.options import parse_object
 from graspforce.cli.output_files import check_new_file
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import decode
@@ -67,7 +66,11 @@ def quality(
     check_new_file(plot, "plot", force)
     check_new_file(regions_plot, "regions-plot", force)
     problem = load_problem(file)
-    shape = None if object_name is None else parse_object(object_name, None, None)[0].shape
+    shape = None
+    if object_name is not None:
+        from graspforce.cli.options import parse_object  # imported here because it needs the library of hands
+
+        shape = parse_object(object_name, None, None)[0].shape
     if regions_plot is not None and shape is None:
         raise InvalidInput("regions-plot", str(regions_plot), "absent without --object, whose surface has the regions")
     asked = _parse_direction(direction)
