@@ -34,7 +34,7 @@ class HeadlessBrowser:
         from websockets.sync.client import connect
 
         assert CHROMIUM is not None
-        self._folder = tempfile.TemporaryDirectory()
+        self._folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)  # processes of the browser may still write
         options = [
             *_FLAGS,
             f"--user-data-dir={self._folder.name}",
@@ -94,7 +94,7 @@ class HeadlessBrowser:
         """Close the browser."""
         self._socket.close()
         self._process.terminate()
-        self._process.wait(10.0)
+        self._process.wait(_PATIENCE)
         self._folder.cleanup()
 
 
