@@ -93,6 +93,22 @@ def check_rotations(value: object, field: str, count: int) -> Array:
     return matrices
 
 
+def check_times(value: object, field: str) -> Array:
+    """Return the times of knots as a read-only array (K,), two or more that increase from 0.
+
+    Args:
+        value: the value to check.
+        field: its path for error messages.
+
+    Raises:
+        InvalidInput: another shape, a number that is not finite, or times that do not increase from 0.
+    """
+    t = check_array(value, field, (None,))
+    if len(t) < 2 or t[0] != 0.0 or (np.diff(t) <= 0.0).any():
+        raise InvalidInput(field, value, "two or more times that increase from 0")
+    return t
+
+
 def is_rotation(R: Sequence[float]) -> bool:
     """Return whether nine finite numbers, row by row, are a rotation matrix: |RᵀR − 1| ≤ 1e-6 and det R > 0.
 

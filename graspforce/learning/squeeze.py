@@ -216,8 +216,10 @@ def robust_squeeze(problem: ForceProblem, total: float) -> ForceProblem:
 def _needed(problem: ForceProblem, loss: float) -> float | None:
     """Return the least sum of normal forces after a loss of friction, N; None if no forces support the wrench."""
     contacts = replace(problem.contacts, mu=(1.0 - loss) * problem.contacts.mu, gamma=(1.0 - loss) * problem.contacts.gamma)
-    solution = solve(replace(problem, contacts=contacts, objective=Objective("sum_normal")), explain=False)
-    return float(solution.f[problem.contacts.normal_rows].sum()) if solution.found else None
+    try:
+        return float(nominal_normals(replace(problem, contacts=contacts)).sum())
+    except InvalidInput:
+        return None
 
 
 def _fit(x: Array, y: Array, method: str, seed: int) -> Any:

@@ -133,3 +133,10 @@ def test_bounds_are_inclusive_for_minimum_and_exclusive_for_above() -> None:
     assert arrays.check_number(5e-324, "m", above=0.0) == 5e-324
     with pytest.raises(InvalidInput, match=r"^m = 0\.4999: must be at least 0\.5$"):
         arrays.check_number(0.4999, "m", minimum=0.5)
+
+
+@pytest.mark.parametrize("times", [[0.0], [0.1, 0.2], [0.0, 0.0], [0.0, 2.0, 1.0], [[0.0, 1.0]], [0.0, np.nan]])
+def test_times_of_knots_increase_from_zero(times):
+    np.testing.assert_array_equal(arrays.check_times([0.0, 0.5, 2.0], "t"), [0.0, 0.5, 2.0])
+    with pytest.raises(InvalidInput, match="t"):
+        arrays.check_times(times, "t")

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
-
 import typer
 
 from graspforce.cli.commands.output_arguments import AsJson
-from graspforce.cli.completions import complete_hand
+from graspforce.cli.commands.recording_arguments import HandsInPlace, RecordingFile
 from graspforce.core.optional_libraries import require_libraries
 
 app = typer.Typer()
@@ -16,13 +13,8 @@ app = typer.Typer()
 
 @app.command(epilog="Example: graspforce serve --hand four_finger --record day.mcap, then graspforce replay day.mcap")
 def replay(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording that `graspforce serve --record` wrote.")],
-    hand: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME", help="Hand in place of the recorded one with its name; repeatable.", autocompletion=complete_hand
-        ),
-    ] = None,
+    file: RecordingFile,
+    hand: HandsInPlace = None,
     as_json: AsJson = False,
 ) -> None:
     """Answer all recorded requests and step all recorded streams again, and report differences.

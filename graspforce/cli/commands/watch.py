@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from graspforce.cli.commands.output_arguments import AsJson
-from graspforce.cli.completions import complete_hand
+from graspforce.cli.commands.recording_arguments import HandsInPlace, RecordingFile
 from graspforce.core.optional_libraries import require_libraries
 
 app = typer.Typer()
@@ -16,13 +15,8 @@ app = typer.Typer()
 
 @app.command(epilog="Example: graspforce serve --hand four_finger --record day.mcap, then graspforce watch day.mcap")
 def watch(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording that `graspforce serve --record` wrote.")],
-    hand: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME", help="Hand in place of the recorded one with its name; repeatable.", autocompletion=complete_hand
-        ),
-    ] = None,
+    file: RecordingFile,
+    hand: HandsInPlace = None,
     window: Annotated[float, typer.Option(metavar="TIME", help="Time over which the share is estimated (s).")] = 4.0,
     share_limit: Annotated[
         float, typer.Option(metavar="X", help="Deviation of the motors' share of the commanded torque from 1 that is drift.")

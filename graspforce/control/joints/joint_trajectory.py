@@ -45,9 +45,7 @@ class JointTrajectory:
         def __init__(self, t: npt.ArrayLike, q: npt.ArrayLike, v: npt.ArrayLike, a: npt.ArrayLike) -> None: ...
 
     def __post_init__(self) -> None:
-        t = arrays.check_array(self.t, "t", (None,))
-        if len(t) < 2 or t[0] != 0.0 or (np.diff(t) <= 0.0).any():
-            raise InvalidInput("t", self.t, "two or more times that increase from 0")
+        t = arrays.check_times(self.t, "t")
         q = arrays.check_array(self.q, "q", (len(t), None))
         set_fields(self, t=t, q=q, **{name: arrays.check_array(getattr(self, name), name, q.shape) for name in ("v", "a")})
 

@@ -43,9 +43,7 @@ class MotionProfile:
         def __init__(self, t: npt.ArrayLike, s: npt.ArrayLike, rate: npt.ArrayLike, acceleration: npt.ArrayLike) -> None: ...
 
     def __post_init__(self) -> None:
-        t = arrays.check_array(self.t, "t", (None,))
-        if len(t) < 2 or t[0] != 0.0 or (np.diff(t) <= 0.0).any():
-            raise InvalidInput("t", self.t, "two or more times that increase from 0")
+        t = arrays.check_times(self.t, "t")
         names = ("s", "rate", "acceleration")
         set_fields(self, t=t, **{name: arrays.check_array(getattr(self, name), name, t.shape) for name in names})
         if abs(self.s[0]) > _ROUNDING or abs(self.s[-1] - 1.0) > _ROUNDING:
