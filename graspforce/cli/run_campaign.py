@@ -17,8 +17,9 @@ from graspforce.cli.controllers import FACTORIES
 from graspforce.cli.json_output import put_result
 from graspforce.cli.options import GraspOptions
 from graspforce.cli.output_files import check_new_file
-from graspforce.cli.run_simulation import SimulateOptions, make_reference
+from graspforce.cli.reference_motion import make_reference
 from graspforce.cli.run_world import RunnerOptions
+from graspforce.cli.simulate_options import SimulateOptions
 from graspforce.cli.world_options import WorldOptions
 from graspforce.core import fields
 from graspforce.core.errors import InvalidInput
@@ -188,7 +189,7 @@ def _conditions(
         "gravity": grasp.gravity_H.tolist(),
         "grasp_seed": grasp.seed,
         "reference": options.reference,
-        "travel": list(options.travel),
+        "travel": None if options.travel is None else list(options.travel),
         "period": options.period,
         "turn": list(options.turn),
         "turn_period": options.turn_period,

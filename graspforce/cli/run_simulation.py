@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 from rich.table import Table
-from scipy.spatial.transform import Rotation
 
 from graspforce import simulation
 from graspforce.cli.film_format import FilmFormat
@@ -18,13 +17,15 @@ from graspforce.cli.heat_tables import heat_record, heat_table
 from graspforce.cli.interruption import Interruption
 from graspforce.cli.json_output import put_result
 from graspforce.cli.live_view import live_view
-from graspforce.cli.options import GraspOptions, is_enveloping
+from graspforce.cli.options import is_enveloping
 from graspforce.cli.output_files import check_new_file, check_new_folder
+from graspforce.cli.reference_motion import check_reference, choose_travel, make_reference
+from graspforce.cli.simulate_options import SimulateOptions
 from graspforce.cli.step_callbacks import FilmOptions, StepCallback, film_callback, progress_bar, viewer_callback
 from graspforce.cli.stream_controller import StreamController
 from graspforce.contact.motion import BodyMotion
-from graspforce.control import ControlSettings, ObjectController, feasible_twists, object_motion
-from graspforce.core import arrays, fields
+from graspforce.control import ControlSettings, ObjectController
+from graspforce.core import fields
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.grasp.grasp import Grasp
@@ -32,66 +33,16 @@ from graspforce.grasp.search import relax_idle_fingers
 from graspforce.hand.contact_tips import has_contact_tips
 from graspforce.hand.heat import report_heat
 from graspforce.service import DEFAULT_VALIDITY, Client, start_server_process
-from graspforce.simulation import ControllerCommand, Plant, PlantInterface, Recording, Reference, Scene, World
-from graspforce.simulation.loops.reach import find_unreachable
+from graspforce.simulation import ControllerCommand, Plant, PlantInterface, Recording, Scene, World
 from graspforce.simulation.plants.scene import TIP_GEOMETRIES
 from graspforce.simulation.rendering import missing_display_reason
 from graspforce.simulation.worlds.world_plants import with_drives
 
 PACES = ("lockstep", "real")
-REFERENCES = ("still", "reach", "sine", "turn")
 VIEWS = ("window", "browser")
 LOCKSTEP_VALIDITY = 0.2  # s: in lockstep the plant waits for each command, so that commands do not age
 _SERVICE_TIMEOUT = 5.0  # s: a new service imports and compiles before its first answer
 _MAX_WARNINGS = 5  # shown
-_REFERENCE_SAMPLES = 25  # instants of a motion that is checked against the contacts
-_LARGEST_SLIP, _LEVER = 1e-4, 0.03  # m: slip in a motion that the contacts do not allow, at this distance from O
-
-
-@dataclass(frozen=True, slots=True)
-class SimulateOptions:
-    """The simulation that the command's options describe.
-
-    Args:
-        grasp: hand, object and grasp search.
-        reference: still, reach, sine or turn.
-        travel: end to end, (x, y, z) in H, m; for turn the rotation vector, rad.
-        period: of the motion, s.
-        duration: of the simulation, s.
-        pushes: (fx, fy, fz, start, duration): force in H, N, and times, s.
-        tips: fingertips of the plant: "ball" as in the controller, or "mesh" as in the hand's URDF.
-        meshes: directories to search for mesh files.
-        turn: rotation vector in H, rad, of an additional rotation out and back; zero for none.
-        turn_period: of that rotation, s; None for `period`.
-
-    Raises:
-        InvalidInput: names the field and the allowed values.
-    """
-
-    grasp: GraspOptions
-    reference: str
-    travel: tuple[float, ...]
-    period: float
-    duration: float
-    pushes: tuple[tuple[float, ...], ...]
-    tips: str = "ball"
-    meshes: tuple[Path, ...] = ()
-    turn: tuple[float, ...] = (0.0, 0.0, 0.0)
-    turn_period: float | None = None
-
-    def __post_init__(self) -> None:
-        fields.check_choice(self.reference, "reference", REFERENCES)
-        fields.check_choice(self.tips, "tips", TIP_GEOMETRIES)
-        arrays.check_number(self.period, "period", above=0.0)
-        arrays.check_number(self.duration, "duration", above=0.0)
-        travel = arrays.check_array(self.travel, "travel", (3,))
-        turn = arrays.check_array(self.turn, "turn", (3,))
-        if self.turn_period is not None:
-            arrays.check_number(self.turn_period, "turn-period", above=0.0)
-        if self.reference == "turn" and not travel.any():
-            raise InvalidInput("travel", self.travel, "a rotation vector that is not zero")
-        if self.reference == "turn" and turn.any():
-            raise InvalidInput("turn", self.turn, "zero with --reference turn, whose rotation is --travel")
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,7 +127,7 @@ def run(options: SimulateOptions, output: SimulateOutput, console: Console, serv
         raise InvalidInput("--class", name, allowed)
     with ExitStack() as stack:
         client = None if service is None else stack.enter_context(connect_service(service, options.grasp.hand_name, console))
-        grasp = start_grasp(options, console)
+        options, grasp = start_grasp(options, console)
         gravity_H, tips = options.grasp.gravity_H, fields.check_choice(options.tips, "tips", TIP_GEOMETRIES)
         scene = simulation.build_scene(grasp, gravity_H=gravity_H, tip_geometry=tips, directories=options.meshes)
         plant = Plant(scene, disturbances=pushes)
@@ -224,8 +175,8 @@ def run(options: SimulateOptions, output: SimulateOutput, console: Console, serv
     return is_held
 
 
-def start_grasp(options: SimulateOptions, console: Console) -> Grasp:
-    """Return the grasp in which a simulation starts, and check that its contacts allow the reference motion.
+def start_grasp(options: SimulateOptions, console: Console) -> tuple[SimulateOptions, Grasp]:
+    """Return options with a travel, and the grasp in which a simulation starts, whose contacts allow the reference motion.
 
     Args:
         options: the simulation.
@@ -237,8 +188,9 @@ def start_grasp(options: SimulateOptions, console: Console) -> Grasp:
     grasp = options.grasp.search(console)
     if not has_contact_tips(grasp.hand, grasp.fingers):
         grasp = relax_idle_fingers(grasp)
+    options = choose_travel(options, grasp, console)
     check_reference(options, grasp)
-    return grasp
+    return options, grasp
 
 
 def show_heat(recording: Recording, grasp: Grasp, console: Console) -> JsonRecord:
@@ -292,54 +244,6 @@ def _parse_push(numbers: tuple[float, ...]) -> simulation.Push:
         return simulation.Push(np.array(numbers[:3]), numbers[3], numbers[4])
     except InvalidInput as error:
         raise error.with_prefix("push") from None
-
-
-def make_reference(options: SimulateOptions, grasp: Grasp) -> Reference:
-    """Return the reference motion of the options, which begins at the grasp."""
-    start, travel, turn = BodyMotion(grasp.p_HO, grasp.R_HO), np.array(options.travel), np.array(options.turn)
-    if options.reference == "turn":
-        angle = float(np.linalg.norm(travel))
-        return simulation.rotation_reference(start, travel / angle, angle, options.period)
-    if options.reference == "still":
-        translation = simulation.constant_reference(start)
-    elif options.reference == "reach":
-        translation = simulation.linear_reference(start, travel, options.period)
-    else:
-        translation = simulation.sine_reference(start, travel / 2.0, options.period)
-    angle = float(np.linalg.norm(turn))
-    if angle == 0.0:
-        return translation
-    rotation = simulation.rotation_reference(start, turn / angle, angle, options.turn_period or options.period)
-    return simulation.combined_reference(translation, rotation)
-
-
-def check_reference(options: SimulateOptions, grasp: Grasp) -> None:
-    """Refuse a motion that the fingers cannot follow.
-
-    Raises:
-        InvalidInput: names the first finger and instant, or says which motions contacts on inner links and the palm allow.
-    """
-    if has_contact_tips(grasp.hand, grasp.fingers):
-        _check_feasible(options, grasp)
-        return
-    found = find_unreachable(grasp, make_reference(options, grasp), options.duration)
-    if found is not None:
-        field, value = ("--travel", options.travel) if any(options.travel) else ("--turn", options.turn)
-        allowed = f"a motion within reach of the fingers: at {found[0]:.2f} s {found[1]} cannot follow its contact"
-        raise InvalidInput(field, ",".join(f"{x:g}" for x in value), allowed)
-
-
-def _check_feasible(options: SimulateOptions, grasp: Grasp) -> None:
-    """Refuse a motion that contacts on inner links and the palm do not allow."""
-    reference, allowed = make_reference(options, grasp), feasible_twists(grasp)
-    for t in np.linspace(0.0, options.duration, _REFERENCE_SAMPLES):
-        motion = object_motion(reference(float(t)))
-        turn = Rotation.from_matrix(motion.R_HO @ grasp.R_HO.T).as_rotvec()
-        change = np.append(motion.p_HO - grasp.p_HO, turn)
-        missing = change - allowed.T @ (allowed @ change)
-        if np.linalg.norm(missing[:3]) > _LARGEST_SLIP or np.linalg.norm(missing[3:]) * _LEVER > _LARGEST_SLIP:
-            text = f"still: the contacts with {', '.join(grasp.fingers)} allow {len(allowed)} of 6 directions, and not this one"
-            raise InvalidInput("--reference", options.reference, text)
 
 
 def summary_table(recording: Recording, remote_controller: StreamController | None = None) -> Table:

@@ -14,14 +14,9 @@ from graspforce.cli.controllers import CONTROLLER_NAMES, FACTORIES, Assumptions,
 from graspforce.cli.interruption import Interruption
 from graspforce.cli.json_output import put_result
 from graspforce.cli.live_view import live_view
-from graspforce.cli.run_simulation import (
-    SimulateOptions,
-    SimulateOutput,
-    make_reference,
-    show_heat,
-    start_grasp,
-    write_mcap,
-)
+from graspforce.cli.reference_motion import make_reference
+from graspforce.cli.run_simulation import SimulateOutput, show_heat, start_grasp, write_mcap
+from graspforce.cli.simulate_options import SimulateOptions
 from graspforce.cli.step_callbacks import FilmOptions, StepCallback, film_callback, progress_bar, viewer_callback
 from graspforce.cli.world_options import WorldOptions
 from graspforce.core import fields
@@ -101,7 +96,7 @@ def run(
     has_film = output.view is not None or output.video is not None or output.frames is not None
     if runner.plant == "urdf" and (has_film or options.tips != "ball"):
         raise InvalidInput("--plant", "urdf", "links with --view, --video, --frames or --tips mesh")
-    grasp = start_grasp(options, console)
+    options, grasp = start_grasp(options, console)
     world = world_options.world(world_options.seed, float(grasp.hand.torque_upper.min()), options.pushes)
     console.print(world_table(world))
     plant_options = world.plant_options(grasp, options.grasp.gravity_H)

@@ -19,7 +19,9 @@ from support.servers import ANY_LOCAL_PORT
 
 from graspforce import InvalidInput
 from graspforce.cli import main, options, run_simulation
-from graspforce.cli.run_simulation import SimulateOptions, SimulateOutput
+from graspforce.cli.reference_motion import make_reference
+from graspforce.cli.run_simulation import SimulateOutput
+from graspforce.cli.simulate_options import SimulateOptions
 from graspforce.core.errors import ModelError
 from graspforce.service import Server
 from graspforce.simulation import Plant, Recording
@@ -124,9 +126,7 @@ def test_a_mesh_is_read_in_the_unit_of_its_file(tmp_path):
 @pytest.mark.parametrize(("kind", "moved"), [("still", 0.0), ("reach", 0.01), ("sine", 0.005), ("turn", 0.0)])
 def test_references_start_at_the_object_and_cover_the_travel(kind, moved):
     grasp = three_finger_grasp()
-    follow = run_simulation.make_reference(
-        replace(SIMULATE_OPTIONS, reference=kind, travel=(0.0, 0.01, 0.0), period=1.0), grasp
-    )
+    follow = make_reference(replace(SIMULATE_OPTIONS, reference=kind, travel=(0.0, 0.01, 0.0), period=1.0), grasp)
     np.testing.assert_allclose(follow(0.0).p_HO, grasp.p_HO)
     at = follow(0.5 if kind == "reach" else 1.25)
     assert np.linalg.norm(at.p_HO - grasp.p_HO) == pytest.approx(moved)
@@ -135,7 +135,7 @@ def test_references_start_at_the_object_and_cover_the_travel(kind, moved):
 def test_turn_adds_a_rotation_with_its_own_period():
     grasp = three_finger_grasp()
     options = replace(SIMULATE_OPTIONS, travel=(0.0, 0.01, 0.0), period=1.0, turn=(0.0, 0.0, 0.3), turn_period=0.5)
-    follow = run_simulation.make_reference(options, grasp)
+    follow = make_reference(options, grasp)
     quarter, half = follow(0.25), follow(0.5)
     turned = Rotation.from_matrix(quarter.R_HO @ grasp.R_HO.T).as_rotvec()
     np.testing.assert_allclose(turned, [0.0, 0.0, 0.3], atol=1e-12)
@@ -150,7 +150,7 @@ def test_impossible_options_are_rejected(capsys, monkeypatch):
     with pytest.raises(InvalidInput, match="still, reach, sine, turn"):
         replace(SIMULATE_OPTIONS, reference="dance")
     with pytest.raises(InvalidInput, match="not zero"):
-        run_simulation.make_reference(replace(SIMULATE_OPTIONS, reference="turn", travel=(0.0, 0.0, 0.0)), grasp)
+        make_reference(replace(SIMULATE_OPTIONS, reference="turn", travel=(0.0, 0.0, 0.0)), grasp)
     monkeypatch.setattr("graspforce.cli.options.find_grasp", None)  # what follows is refused before the search
     plain = ("--reference=dance", "--tips=cone", "--duration=0", "--period=-1", "--object=moon", "--object=sphere:-1")
     for asked in (*plain, "--travel=nan,0,0", "--push=1,0,0,-1,1", "--push=1,0,0,0,nan", "--pace=real"):
@@ -210,7 +210,9 @@ def test_power_grasp_is_held_and_motions_that_it_does_not_allow_are_refused(caps
     command = ["simulate", "--hand", "dlr_hit2", "--object", "sphere:0.03", "--friction", "0.6", "--class", "power"]
     assert main([*command, "--reference", "still", "--duration", "0.02"]) == 0
     assert "dlr_hit2 holds the sphere:0.03 (50 g, μ = 0.6) with palm" in capsys.readouterr().out
-    assert main([*command, "--reference", "reach"]) == 1
+    assert main([*command, "--duration", "0.02"]) == 0
+    assert "The object is held still" in capsys.readouterr().out
+    assert main([*command, "--reference", "reach", "--travel", "0,0,0.01"]) == 1
     assert "--reference = 'reach': must be still: the contacts with palm" in capsys.readouterr().err
     assert main([*command, "--reference", "still", "--serve"]) == 1
     assert "--class = 'power': must be a class of fingertips with a service" in capsys.readouterr().err

@@ -41,8 +41,13 @@ def simulate(
         str, typer.Option(metavar="KIND", help="Reference motion: still, reach (out and back), sine or turn.")
     ] = "reach",
     travel: Annotated[
-        str, typer.Option(metavar="X,Y,Z", help="Travel from end to end, m; for turn a rotation vector, rad.")
-    ] = "0,0,0.01",
+        str | None,
+        typer.Option(
+            metavar="X,Y,Z",
+            help="Travel from end to end, m; for turn a rotation vector, rad (default: 10 mm upwards, or as far as the fingers "
+            "can move the object; for turn 0,0,0.1).",
+        ),
+    ] = None,
     period: Annotated[float, typer.Option(metavar="S", help="Period of the reference motion, s.")] = 1.0,
     turn: Annotated[str, typer.Option(metavar="RX,RY,RZ", help="Rotate out and back as well: rotation vector, rad.")] = "0,0,0",
     turn_period: Annotated[float | None, typer.Option(metavar="S", help="Period of --turn, s (default: --period).")] = None,
@@ -250,6 +255,7 @@ def simulate(
     from graspforce.cli import controllers, run_campaign, run_simulation, run_world
     from graspforce.cli.film_format import parse_film_format
     from graspforce.cli.options import GraspOptions, parse_vector
+    from graspforce.cli.simulate_options import SimulateOptions
     from graspforce.cli.world_options import PRESETS, WorldOptions
     from graspforce.core import fields
     from graspforce.grasp.search import GraspSearchOptions
@@ -258,10 +264,10 @@ def simulate(
     if campaign is not None and grasp_class is not None:
         raise InvalidInput("--class", grasp_class, "absent with --campaign, whose grasps are of any class")
     requirements = GraspSearchOptions(grasp_class=grasp_class, pad_friction=pad_friction)
-    options = run_simulation.SimulateOptions(
+    options = SimulateOptions(
         grasp=GraspOptions(names[0], object_name, mass, friction, fingers, gravity, seed, drive, requirements),
         reference=reference,
-        travel=parse_vector(travel, "travel"),
+        travel=None if travel is None else parse_vector(travel, "travel"),
         period=period,
         duration=duration,
         pushes=tuple(parse_vector(text, "push", 5) for text in push or []),
