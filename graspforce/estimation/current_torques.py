@@ -3,7 +3,7 @@
 A current i makes the torque m = k i before the losses of the gear, with k = K_t n. A gear of efficiency η passes η m to the
 joint while the motor drives it, and m/η_b while the joint drives the motor. Near rest the direction is unknown:
 
-    tau = m/c − friction(v),   c = (1/η + η_b)/2 + tanh(v sign(m)/ε) (1/η − η_b)/2,
+    tau = c m − friction(v),   c = (η + 1/η_b)/2 − tanh(v sign(m)/ε) (1/η_b − η)/2,
 
 where friction(v) is the known joint friction. The error has two parts: the noise of the currents, and constant errors. Those
 are the error of the torque constant, the unknown direction of the gear at rest, and friction at rest, up to its Coulomb torque.
@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from graspforce.core.arrays import Array, freeze
+from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.estimation.contact_forces import ForceModelErrors
 from graspforce.hand.drives.drive import DIRECTION_RATE
@@ -70,8 +70,7 @@ class CurrentTorques:
             allowed = f"None for a hand whose drives state no torque constant: {unknown}"
             raise InvalidInput("sensors.current_noise", "a number", allowed)
         self._constants, self._friction = constants, hand.friction
-        driving, backdriving = 1.0 / drives.values("efficiency"), drives.values("backdriving_efficiency")
-        self._mean, self._half_range = freeze(0.5 * (driving + backdriving)), freeze(0.5 * (driving - backdriving))
+        self._gain, self._loss = drives.gear_gain, drives.gear_loss  # joint torque per motor torque
         self._torque_error = drives.values("torque_error")
 
     def torques(self, current: Array, v: Array) -> Array:
@@ -82,7 +81,7 @@ class CurrentTorques:
             v: (n,) joint rates, rad/s.
         """
         motor = self._constants * current  # N·m
-        return np.asarray(motor / self._factor(motor, v) - self._friction.torque_unchecked(v, SMOOTHING_RATE))
+        return np.asarray(motor * self._factor(motor, v) - self._friction.torque_unchecked(v, SMOOTHING_RATE))
 
     def currents(self, tau: Array, v: Array) -> Array:
         """Return the currents that make joint torques, (n,), A.
@@ -91,11 +90,11 @@ class CurrentTorques:
             tau: (n,) joint torques with those that overcome joint friction, N·m.
             v: (n,) joint rates, rad/s.
         """
-        return np.asarray(self._factor(tau, v) * tau / self._constants)
+        return np.asarray(tau / self._factor(tau, v) / self._constants)
 
     def _factor(self, torque: Array, v: Array) -> Array:
-        """Return the motor torques per joint torque, (n,), for torques of either kind."""
-        return np.asarray(self._mean + self._half_range * np.tanh(np.sign(torque) * v / DIRECTION_RATE))
+        """Return the joint torques per motor torque, (n,), for torques of either kind."""
+        return np.asarray(self._gain - self._loss * np.tanh(np.sign(torque) * v / DIRECTION_RATE))
 
     def noise(self, current_noise: float) -> CurrentNoise:
         """Return the errors of the torques.
@@ -103,11 +102,11 @@ class CurrentTorques:
         Args:
             current_noise: standard deviation of a measured current, A.
         """
-        least = self._mean - np.abs(self._half_range)  # least motor torque per joint torque
+        largest = self._gain + self._loss  # joint torque per motor torque
         friction = self._friction.coulomb + self._friction.stribeck  # N·m, at rest
-        scale = np.hypot(_UNIFORM * self._torque_error, np.abs(self._half_range) / least)
+        scale = np.hypot(_UNIFORM * self._torque_error, self._loss / (self._gain - self._loss))
         return CurrentNoise(
-            float((self._constants / least).max()) * current_noise,
+            float((self._constants * largest).max()) * current_noise,
             _UNIFORM * float(friction.max()),
             float(scale.max()),
         )

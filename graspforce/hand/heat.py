@@ -90,8 +90,7 @@ class ThermalModel:
         self._C_h = np.array([each.housing_time_constant for each in thermal]) / self._R_ha  # J/K
         self.largest = freeze([each.largest_temperature for each in thermal])
         self._k, self._R25 = drives.values("torque_constant"), drives.values("resistance")
-        gain = 0.5 * (1.0 / drives.values("efficiency") + drives.values("backdriving_efficiency"))
-        self._current_per_torque = gain / self._k  # A/(N·m), of a joint at rest
+        self._current_per_torque = 1.0 / (drives.gear_gain * self._k)  # A/(N·m), of a joint at rest
         self._last: tuple[float, Array] | None = None  # period and transition matrices of the last step
 
     @classmethod

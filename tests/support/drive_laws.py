@@ -29,9 +29,9 @@ def joint_torque(drive: Drive, command: DriveCommand, i: int, q: float, v: float
 
 
 def gear_factor(drive: Drive, motor: float, v: float) -> float:
-    """Return the joint torque per motor torque; both directions count half at rest."""
+    """Return the joint torque per motor torque; at rest the middle of what the friction of the gear holds."""
     if motor * v == 0.0:
-        return 2.0 / (1.0 / drive.efficiency + drive.backdriving_efficiency)
+        return 0.5 * (drive.efficiency + 1.0 / drive.backdriving_efficiency)
     return drive.efficiency if motor * v > 0.0 else 1.0 / drive.backdriving_efficiency
 
 

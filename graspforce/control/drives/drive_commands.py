@@ -2,9 +2,14 @@
 
 With the joint torque tau that a command asks for, the joint rate v and the gear's efficiencies η and η_b, the motor must make
 
-    m = tau/η while it drives the joint (tau v > 0),    m = tau η_b while the joint drives it,
+    m = tau/η while it drives the joint (tau v > 0),    m = tau η_b while the joint drives it.
 
-and the mean of both at rest, smoothly through zero. The drive then takes, by its mode,
+At rest the friction of the gear holds joint torques from η m to m/η_b. Their mean is tau for m = 2 tau/(η + 1/η_b). In
+general, smoothly through zero,
+
+    m = tau/(c − d tanh(v sign(tau)/ε)),    c = (η + 1/η_b)/2,    d = (1/η_b − η)/2.
+
+The drive then takes, by its mode,
 
 - ``torque``: m;
 - ``current``: i = m/k;
@@ -122,11 +127,10 @@ class DriveMap:
         drives = hand.drives
         self._joints, self._modes = tuple(joint.name for joint in hand.joints), drives.modes
         self._k, self._K, self._D = (drives.values(name) for name in ("torque_constant", "stiffness", "damping"))
-        self._driving = 1.0 / drives.values("efficiency")  # motor torque per joint torque
-        self._backdriving = drives.values("backdriving_efficiency")
+        self._gain, self._loss = drives.gear_gain, drives.gear_loss  # joint torque per motor torque
         self._torque_error, self._stiffness_error = drives.values("torque_error"), drives.values("stiffness_error")
         self._largest_current = drives.values("current_limit")
-        self.has_losses = bool((self._driving != self._backdriving).any())
+        self.has_losses = bool(self._loss.any())
         beyond = drives.values("beyond_limits")
         self._lower, self._upper = hand.q_lower - beyond, hand.q_upper + beyond
         self._takes_torque = drives.has_mode("torque", "impedance")
@@ -159,9 +163,7 @@ class DriveMap:
             planned_v: (n,) planned joint rates, which decide the direction of the gears without noise, rad/s. Default: v.
         """
         direction = np.tanh(np.sign(tau) * (v if planned_v is None else planned_v) / DIRECTION_RATE)
-        half_range = 0.5 * (self._driving - self._backdriving)
-        factor = 0.5 * (self._driving + self._backdriving) + direction * half_range
-        m = factor * tau  # N·m
+        m = tau / (self._gain - direction * self._loss)  # N·m
         limited = np.zeros(len(tau), dtype=np.bool_)
         i_max = self._largest_current
         current = m / self._k
@@ -181,7 +183,7 @@ class DriveMap:
         def only(mask: npt.NDArray[np.bool_], values: Array) -> Array:
             return np.where(mask, values, np.nan)
 
-        gear_error = np.abs(tau) * half_range * (1.0 - np.abs(direction)) / factor  # N·m
+        gear_error = np.abs(m) * self._loss * (1.0 - np.abs(direction))  # N·m
         elastic_error = np.where(self._is_servo, self._stiffness_error * (np.abs(m) + np.abs(damping_torque)), 0.0)  # N·m
         hold_error = self._servo_gain * moved  # N·m
         error = np.abs(tau) * self._torque_error + gear_error + elastic_error + hold_error + self._step_error  # N·m

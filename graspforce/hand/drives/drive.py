@@ -163,6 +163,16 @@ class Drives:
         """Longest time between two set-points that a drive takes, s; 0 if each drive takes every set-point."""
         return 1.0 / min(drive.rate for drive in self.joints)
 
+    @cached_property
+    def gear_gain(self) -> Array:
+        """Joint torque per motor torque, the mean of both directions of the gears, (η + 1/η_b)/2, (n,)."""
+        return freeze(0.5 * (self.values("efficiency") + 1.0 / self.values("backdriving_efficiency")))
+
+    @cached_property
+    def gear_loss(self) -> Array:
+        """Half of the difference between both directions, (1/η_b − η)/2, (n,): the friction of the gears per motor torque."""
+        return freeze(0.5 * (1.0 / self.values("backdriving_efficiency") - self.values("efficiency")))
+
     def has_mode(self, *modes: DriveMode) -> npt.NDArray[np.bool_]:
         """Return (n,) whether each drive has one of some modes.
 

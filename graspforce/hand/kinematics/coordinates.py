@@ -142,8 +142,13 @@ class JointCoordinates:
 
     @cached_property
     def torque_upper(self) -> Array:
-        """(n,) largest motor torques, N·m."""
-        return freeze([joint.torque for joint in self.joints])
+        """(n,) largest motor torques, N·m: those of the motors, and at most the thresholds of closed breakaways.
+
+        The first joint of a breakaway gets the motor's torque less the part that bends the second joint. If the contact presses
+        that joint back, as the contact of a fingertip does, it gets at most the motor's torque, and the clutch stays closed.
+        """
+        threshold = {each.joints[0]: each.threshold for each in self.tendons if each.threshold is not None}
+        return freeze([min(joint.torque, threshold.get(joint.name, joint.torque)) for joint in self.joints])
 
     @cached_property
     def rest_torque_limit(self) -> Array:

@@ -41,8 +41,7 @@ class DriveModel:
         self._samples = np.minimum(drives.values("rate") * dt, 1.0)  # set-points that are taken in a step
         self._resolution, self._backlash = drives.values("resolution"), drives.values("backlash")
         self._k, self._K, self._D = (drives.values(name) for name in ("torque_constant", "stiffness", "damping"))
-        driving, backdriving = drives.values("efficiency"), 1.0 / drives.values("backdriving_efficiency")
-        self._gain, self._loss = 0.5 * (driving + backdriving), 0.5 * (backdriving - driving)
+        self._gain, self._loss = drives.gear_gain, drives.gear_loss
         self._largest_current = drives.values("current_limit")
         self._is_current, self._is_impedance = drives.has_mode("current"), drives.has_mode("impedance")
         self._is_servo = drives.has_mode("position", "position_with_current_limit")

@@ -268,6 +268,16 @@ def test_tips_do_not_jump_when_a_joint_stops(name: str) -> None:
         np.testing.assert_allclose(after.tip_pose(q_after, finger.name)[0], hand.tip_pose(q, finger.name)[0], atol=1e-15)
 
 
+def test_closed_breakaway_limits_the_torque_of_its_motor_to_the_threshold() -> None:
+    hand = load("barrett")
+    for tendon in hand.tendons:
+        j = hand.joint_names.index(tendon.joints[0])
+        assert hand.torque_upper[j] == min(hand.joints[j].torque, tendon.threshold)
+        assert hand.torque_lower[j] == -hand.joints[j].torque  # it opens in one direction only
+        opened = stop_tendon_joints(hand, {tendon.joints[0]: 1.0})
+        assert opened.torque_upper[j] == pytest.approx(hand.joints[j].torque / tendon.free_ratio)
+
+
 def test_stop_of_another_joint_is_rejected() -> None:
     hand = load("barrett")
     with pytest.raises(UnknownName, match="finger_1_inner"):

@@ -54,6 +54,19 @@ def test_hand_holds_after_a_breakaway() -> None:
     assert metrics.position_error_peak < 1e-4  # m
 
 
+@pytest.mark.parametrize("slip_margin", [0.5, 8.0])
+def test_forces_do_not_open_a_closed_breakaway(slip_margin: float) -> None:
+    """A wanted margin of 8 N needs motor torques beyond the threshold: the largest feasible margin is kept instead."""
+    grasp = find_grasp(load("barrett"), Body.solid(BALL, 0.05), friction=0.7)
+    plant = Plant(build_scene(grasp, gravity_H=(0.0, 0.0, -9.81)))
+    controller = ObjectController(grasp, ControlSettings(gravity_H=(0.0, 0.0, -9.81), slip_margin=slip_margin))
+    recording = simulate(plant, controller, constant_reference(start_of(grasp)), 0.2)
+    assert plant.clutches.stops == [None] * 3
+    metrics = compute_metrics(recording)
+    assert metrics.lost_contact_steps == metrics.slip_steps == metrics.reused_force_steps == 0
+    assert metrics.min_slip_margin > 0.0
+
+
 def move(grasp: Grasp, displacement: tuple[float, float, float], gravity_H: tuple[float, float, float], T: float) -> Recording:
     """Return the run of a displacement of the object, out and back, in the time T, s."""
     plant = Plant(build_scene(grasp, gravity_H=gravity_H))
