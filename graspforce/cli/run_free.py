@@ -103,7 +103,7 @@ def run(
         TimeRemainingColumn(),
     )
     with ExitStack() as stack:
-        stepper = _stepper(controller, plant.dt, service, console, stack)
+        stepper = joint_stepper(controller, plant.dt, service, console, stack)
         bar = stack.enter_context(Progress(*columns, console=progress_console()))
         task = bar.add_task("", total=options.duration)
 
@@ -132,10 +132,21 @@ def run(
     return not any(np.isnan(response.settling_time) for response in responses)
 
 
-def _stepper(
+def joint_stepper(
     controller: JointController, period: float, service: ServiceOptions | None, console: Console, stack: ExitStack
 ) -> JointStepper:
-    """Return the controller, in the service if there is one."""
+    """Return the controller, in the service if there is one.
+
+    Args:
+        controller: the joint-space law.
+        period: of the control, s.
+        service: where the law runs, in lockstep; None for this process.
+        console: shows the address of the service.
+        stack: closes the stream.
+
+    Raises:
+        ServiceError: the service is missing or does not serve the hand.
+    """
     if service is None:
         return controller
     client = stack.enter_context(connect_service(service, controller.hand.name, console))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -104,7 +104,13 @@ class ServiceOptions:
         fields.check_choice(self.pace, "pace", PACES)
 
 
-def run(options: SimulateOptions, output: SimulateOutput, console: Console, service: ServiceOptions | None = None) -> bool:
+def run(
+    options: SimulateOptions,
+    output: SimulateOutput,
+    console: Console,
+    service: ServiceOptions | None = None,
+    reference_of: Callable[[SimulateOptions, Grasp], Reference] | None = None,
+) -> bool:
     """Find a grasp, simulate, and show the results.
 
     Args:
@@ -112,6 +118,7 @@ def run(options: SimulateOptions, output: SimulateOutput, console: Console, serv
         output: files and windows.
         console: shows progress and results.
         service: where the controller runs; None for this process.
+        reference_of: makes the reference motion; by default `make_reference`.
 
     Returns:
         Whether all fingertips kept contact and none slipped.
@@ -144,7 +151,7 @@ def run(options: SimulateOptions, output: SimulateOutput, console: Console, serv
             if output.view == "browser"
             else None
         )
-
+        reference = (reference_of or make_reference)(options, grasp)
         interruption = stack.enter_context(Interruption())
 
         def on_step(_: PlantInterface, command: ControllerCommand) -> bool:
@@ -159,7 +166,7 @@ def run(options: SimulateOptions, output: SimulateOutput, console: Console, serv
         recording = simulation.simulate(
             driven_plant,
             remote_controller or (local_controller if live is None else live.steered(local_controller)),
-            make_reference(options, grasp) if live is None else live.steered_reference(make_reference(options, grasp)),
+            reference if live is None else live.steered_reference(reference),
             options.duration,
             initial_forces=initial_forces,
             on_step=on_step,

@@ -26,8 +26,22 @@ if TYPE_CHECKING:
     from graspforce.learning.actions.segmentation import GistSettings, MotionSegment, action_gist, segment_finger
     from graspforce.learning.glove.calibration import GloveCalibration, GloveDrift, calibrate_glove
     from graspforce.learning.glove.fingertip_mapping import FingertipMap, FingertipMapper, MappedPosture, fit_fingertip_map
+    from graspforce.learning.glove.frames import LiveFrames, RecordedFrames
+    from graspforce.learning.glove.glove_inputs import (
+        GloveApproach,
+        GloveHold,
+        GloveOperator,
+        GloveReference,
+        neutral_correspondence,
+    )
     from graspforce.learning.glove.simulated_glove import SimulatedGlove
-    from graspforce.learning.glove.teleoperation import TeleoperationFilter, TeleoperationLimits, virtual_object
+    from graspforce.learning.glove.teleoperation import (
+        ApproachLimits,
+        PostureFilter,
+        TeleoperationFilter,
+        TeleoperationLimits,
+        virtual_object,
+    )
     from graspforce.learning.inverse_kinematics import FingerStart, Network, fit_finger_start, fit_network
     from graspforce.learning.object_size import PreshapeModel, SizeCorrelation, correlate_with_size, fit_preshape
     from graspforce.learning.posture_library import PostureLibrary
@@ -37,19 +51,27 @@ if TYPE_CHECKING:
 __all__ = [
     "META_MOTIONS",
     "ActionGist",
+    "ApproachLimits",
     "FingerStart",
     "FingertipMap",
     "FingertipMapper",
     "GistHistogram",
     "GistSettings",
+    "GloveApproach",
     "GloveCalibration",
     "GloveDrift",
+    "GloveHold",
+    "GloveOperator",
+    "GloveReference",
+    "LiveFrames",
     "MappedPosture",
     "MotionSegment",
     "Network",
+    "PostureFilter",
     "PostureLibrary",
     "PreshapeModel",
     "RankedGist",
+    "RecordedFrames",
     "RecordedMotion",
     "SimilarRecording",
     "SimulatedGlove",
@@ -71,6 +93,7 @@ __all__ = [
     "fit_synergies",
     "gist_similarity",
     "meta_motion_conditions",
+    "neutral_correspondence",
     "rank_gists",
     "recorded_motion",
     "robust_squeeze",
@@ -88,7 +111,15 @@ _HOMES = {
     "inverse_kinematics": ("FingerStart", "Network", "fit_finger_start", "fit_network"),
     "glove.calibration": ("GloveCalibration", "GloveDrift", "calibrate_glove"),
     "glove.fingertip_mapping": ("FingertipMap", "FingertipMapper", "MappedPosture", "fit_fingertip_map"),
-    "glove.teleoperation": ("TeleoperationFilter", "TeleoperationLimits", "virtual_object"),
+    "glove.frames": ("LiveFrames", "RecordedFrames"),
+    "glove.teleoperation": (
+        "ApproachLimits",
+        "PostureFilter",
+        "TeleoperationFilter",
+        "TeleoperationLimits",
+        "virtual_object",
+    ),
+    "glove.glove_inputs": ("GloveApproach", "GloveHold", "GloveOperator", "GloveReference", "neutral_correspondence"),
     "glove.simulated_glove": ("SimulatedGlove",),
     "actions.meta_motions": ("META_MOTIONS", "meta_motion_conditions"),
     "actions.segmentation": ("GistSettings", "MotionSegment", "action_gist", "segment_finger"),

@@ -15,7 +15,6 @@ from __future__ import annotations
 import json
 import os
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,6 +26,7 @@ from graspforce.core.errors import InvalidInput
 from graspforce.core.optional_libraries import optional_imports
 from graspforce.core.records import set_fields
 from graspforce.core.whole_file import write_text
+from graspforce.learning.glove.frames import load_frames
 
 SCHEMA = "graspforce/glove_calibration/1"
 METHODS = ("linear", "kernel")
@@ -245,18 +245,9 @@ def mean_readings(path: str | os.PathLike[str], postures: int) -> Array:
         InvalidInput: not such a file, or a number of frames that is no multiple of the number of postures.
         OSError: the file cannot be read.
     """
-    lines = [line for line in Path(path).read_text(encoding="utf-8").splitlines() if line.strip()]
-    frames = []
-    for i, line in enumerate(lines):
-        try:
-            frames.append([float(word) for word in line.split(",")])
-        except ValueError:
-            raise InvalidInput(f"frame {i + 1}", line, "numbers, separated by commas") from None
-        if len(frames[-1]) != len(frames[0]):
-            raise InvalidInput(f"frame {i + 1}", line, f"{len(frames[0])} numbers, as in the first frame")
-    if not frames or len(frames) % postures:
-        raise InvalidInput("frames", f"{len(frames)} frames", f"a multiple of {postures}, the number of postures")
-    readings = arrays.check_array(frames, "frames", (None, None))
+    readings = load_frames(path)
+    if len(readings) % postures:
+        raise InvalidInput("frames", f"{len(readings)} frames", f"a multiple of {postures}, the number of postures")
     return freeze(readings.reshape(postures, -1, readings.shape[1]).mean(axis=1))
 
 

@@ -1,4 +1,4 @@
-"""Teleoperation of a held object: an operator's poses, at the rate of a glove and with errors, become a smooth desired motion.
+"""Teleoperation: an operator's poses, at the rate of a glove and with errors, become a smooth desired motion.
 
 The operator's fingertips move a virtual object: its displacement is the rigid motion that fits them best. The desired motion
 follows this pose by the law of a critically damped oscillator,
@@ -7,6 +7,8 @@ follows this pose by the law of a critically damped oscillator,
 
 and the same for the rotation, with limits of speed, acceleration and displacement. The controller of the object chooses and
 certifies the forces, as for any desired motion: the operator moves the object, and never the forces.
+
+A hand without an object, in the approach to one, follows the operator's postures by the same law in each joint.
 """
 
 from __future__ import annotations
@@ -17,11 +19,13 @@ import numpy as np
 import numpy.typing as npt
 
 from graspforce.contact.motion import BodyMotion
+from graspforce.control.joints.joint_command import JointMotion
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
 from graspforce.core.records import set_fields
 from graspforce.geometry.rotations import rotation_exp, rotation_log
+from graspforce.hand.hand import Hand
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,9 +106,7 @@ class TeleoperationFilter:
             InvalidInput: another period.
         """
         limits, now = self._limits, self.motion
-        dt = arrays.check_number(dt, "dt", above=0.0)
-        if dt * limits.frequency >= 1.0:
-            raise InvalidInput("dt", dt, f"below {1.0 / limits.frequency:g} s, the time constant")
+        dt = _checked_period(dt, limits.frequency)
         R_goal = rotation_exp(self._turn) @ self._start.R_HO
         errors = self._p - now.p_HO, np.array(rotation_log(R_goal @ now.R_HO.T))
         bounds = (limits.speed, limits.acceleration), (limits.turn_rate, limits.turn_acceleration)
@@ -116,6 +118,82 @@ class TeleoperationFilter:
             a[own] = (v[own] - now.twist[own]) / dt
         R = rotation_exp(dt * v[3:]) @ now.R_HO
         self.motion = BodyMotion(now.p_HO + dt * v[:3], R, v, a)
+        return self.motion
+
+
+@dataclass(frozen=True, slots=True)
+class ApproachLimits:
+    """Limits of the desired joint motion.
+
+    Args:
+        frequency: ω, rad/s, > 0. Lower values smooth more and follow later.
+        speed: largest rate of each joint, rad/s, > 0; that of the hand's description also holds.
+        acceleration: largest acceleration of each joint, rad/s², > 0.
+
+    Raises:
+        InvalidInput: names the field and what is allowed.
+    """
+
+    frequency: float = 10.0
+    speed: float = 2.0
+    acceleration: float = 40.0
+
+    def __post_init__(self) -> None:
+        for name in ("frequency", "speed", "acceleration"):
+            set_fields(self, **{name: arrays.check_number(getattr(self, name), name, above=0.0)})
+
+
+class PostureFilter:
+    """Turns an operator's postures into the desired joint motion of a hand without an object.
+
+    Args:
+        hand: the hand.
+        q_start: (n,) posture at the start, at rest, rad; neutral by default.
+        limits: limits of the desired motion.
+
+    Attributes:
+        motion: the desired motion of the last step.
+
+    Raises:
+        InvalidInput: not a posture of the hand.
+    """
+
+    def __init__(self, hand: Hand, q_start: npt.ArrayLike | None = None, limits: ApproachLimits | None = None) -> None:
+        self._limits = ApproachLimits() if limits is None else limits
+        self._lower, self._upper = hand.q_lower, hand.q_upper
+        self._fastest = np.minimum(hand.velocity_limit, self._limits.speed)
+        q = hand.neutral if q_start is None else arrays.check_array(q_start, "q_start", (hand.n,))
+        self._q = np.clip(q, self._lower, self._upper)
+        self.motion = JointMotion(self._q)
+
+    def command(self, q: npt.ArrayLike) -> None:
+        """Set the operator's posture; it is cut to the joint limits.
+
+        Args:
+            q: (n,) joint positions, rad.
+
+        Raises:
+            InvalidInput: not a posture of the hand.
+        """
+        self._q = np.clip(arrays.check_array(q, "q", self._lower.shape), self._lower, self._upper)
+
+    def step(self, dt: float) -> JointMotion:
+        """Return the desired motion of the next control period.
+
+        Args:
+            dt: the period, s, > 0 and below 1/ω.
+
+        Raises:
+            InvalidInput: another period.
+        """
+        limits, now = self._limits, self.motion
+        dt = _checked_period(dt, limits.frequency)
+        wanted = limits.frequency**2 * (self._q - now.q) - 2.0 * limits.frequency * now.v
+        a = np.clip(wanted, -limits.acceleration, limits.acceleration)
+        v = np.clip(now.v + dt * a, -self._fastest, self._fastest)
+        q = np.clip(now.q + dt * v, self._lower, self._upper)
+        v = (q - now.q) / dt
+        self.motion = JointMotion(freeze(q), freeze(v), freeze((v - now.v) / dt))
         return self.motion
 
 
@@ -143,6 +221,14 @@ def virtual_object(start: BodyMotion, tips_start: npt.ArrayLike, tips: npt.Array
     shift = b.mean(axis=0) - a.mean(axis=0) + (R - np.eye(3)) @ (start.p_HO - a.mean(axis=0))
     turned = rotation_exp(gain * np.array(rotation_log(R))) @ start.R_HO
     return freeze(start.p_HO + gain * shift), freeze(turned)
+
+
+def _checked_period(dt: float, frequency: float) -> float:
+    """Return a period, s, below the time constant of a frequency, rad/s."""
+    dt = arrays.check_number(dt, "dt", above=0.0)
+    if dt * frequency >= 1.0:
+        raise InvalidInput("dt", dt, f"below {1.0 / frequency:g} s, the time constant")
+    return dt
 
 
 def _shortened(v: Array, longest: float) -> Array:
