@@ -11,7 +11,7 @@ import json
 from pathlib import Path
 
 from benchmarks import report_page
-from benchmarks.learning import actions, glove, grasp_prior, postures, squeeze, start_values, teleoperation
+from benchmarks.learning import actions, force_starts, glove, grasp_prior, postures, squeeze, start_values, teleoperation
 
 SECTIONS = {
     "postures": postures,
@@ -19,6 +19,7 @@ SECTIONS = {
     "glove": glove,
     "teleoperation": teleoperation,
     "start_values": start_values,
+    "force_starts": force_starts,
     "squeeze": squeeze,
     "actions": actions,
 }

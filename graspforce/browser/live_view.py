@@ -59,6 +59,11 @@ class LiveView:
         self._last_drawn = -np.inf
 
     @property
+    def status(self) -> str:
+        """Text above the controls: time, error, motions of the fingers, warning."""
+        return str(self._status.content)
+
+    @property
     def url(self) -> str:
         """Address of the page."""
         return self.scene.url
@@ -97,7 +102,9 @@ class LiveView:
             self._last_drawn = time.monotonic()
             self._charts.draw()
             warning = f"  \n⚠ {readings.warnings[0]}" if readings.warnings else ""
-            self._status.content = f"t = {readings.t:.2f} s, position error {readings.position_error:.3f} mm{warning}"
+            motions = f"  \n{readings.motion_text}" if readings.motions else ""
+            error = f"position error {readings.position_error:.3f} mm"
+            self._status.content = f"t = {readings.t:.2f} s, {error}{motions}{warning}"
 
     def close(self) -> None:
         """Close the page."""

@@ -11,6 +11,7 @@ import numpy as np
 from graspforce.browser.browser_scene import BrowserScene, ViewAddress
 from graspforce.browser.charts import Charts
 from graspforce.browser.readings import Readings
+from graspforce.learning.actions.labels import labels_at
 from graspforce.simulation.plants.scene import Scene
 from graspforce.simulation.recordings.recording import Recording
 from graspforce.simulation.rendering.display_model import DisplayModel
@@ -43,10 +44,16 @@ class Playback:
         self._play.on_click(lambda _: self._toggle_play())
         self._speed = gui.add_dropdown("speed", _SPEEDS, initial_value="1 ×")
         self._readings = Readings.of_recording(recording)
+        self._labels = recording.motion_labels(scene.grasp.hand)
         Charts(gui, recording.fingers, end, shows_step_time=False).draw_all(self._readings)
         self._is_playing, self._shown, self._is_closed = False, -1, False
         self._lock = threading.Lock()  # the page closes between two updates
         self.update()
+
+    @property
+    def status(self) -> str:
+        """Text above the controls: time, error, motions of the fingers, warning."""
+        return str(self._status.content)
 
     @property
     def url(self) -> str:
@@ -64,7 +71,9 @@ class Playback:
         self.view.show_desired(recording.p_desired[row], recording.R_desired[row])
         warnings = [text for t, text in recording.warnings if 0.0 <= readings.t - t < 1.0]
         warning = f"  \n⚠ {warnings[-1]}" if warnings else ""
-        self._status.content = f"t = {readings.t:.3f} s, position error {readings.position_error:.3f} mm{warning}"
+        now = labels_at(self._labels, readings.t)
+        motions = "".join(f"  \n{name}: {label.text}" for name, label in now.items())
+        self._status.content = f"t = {readings.t:.3f} s, position error {readings.position_error:.3f} mm{motions}{warning}"
 
     def run(self, duration: float = np.inf) -> None:
         """Play and follow the timeline until `close`.

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -23,6 +24,7 @@ class Readings:
         position_error: distance of the object from its desired position, mm.
         step_time: time that the controller took for its last step, ms; NaN if it was not measured.
         warnings: warnings of the controller.
+        motions: name of the present motion of each finger; empty if it is not known.
     """
 
     t: float
@@ -31,9 +33,22 @@ class Readings:
     position_error: float
     step_time: float = np.nan
     warnings: tuple[str, ...] = ()
+    motions: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def motion_text(self) -> str:
+        """The present motions in one line; empty if they are not known."""
+        return ", ".join(f"{finger}: {name}" for finger, name in self.motions.items())
 
     @classmethod
-    def of_command(cls, t: float, command: ControllerCommand, hand: Hand, step_time: float = np.nan) -> Readings:
+    def of_command(
+        cls,
+        t: float,
+        command: ControllerCommand,
+        hand: Hand,
+        step_time: float = np.nan,
+        motions: Mapping[str, str] | None = None,
+    ) -> Readings:
         """Return the readings of a command.
 
         Args:
@@ -41,10 +56,11 @@ class Readings:
             command: the command.
             hand: the hand, for its torque limits.
             step_time: time that the controller took, ms.
+            motions: name of the present motion of each finger; None if it is not known.
         """
         error = 1e3 * float(np.linalg.norm(command.error[:3]))
         use = torque_use(np.asarray(command.tau), hand.torque_lower, hand.torque_upper)
-        return cls(t, np.asarray(command.slip_margin), use, error, step_time, command.warnings)
+        return cls(t, np.asarray(command.slip_margin), use, error, step_time, command.warnings, motions or {})
 
     @classmethod
     def of_recording(cls, recording: Recording) -> tuple[Readings, ...]:

@@ -14,10 +14,12 @@ from graspforce.browser.live_view import LiveView
 from graspforce.browser.readings import Readings
 from graspforce.browser.steering import SteeredController, SteeredReference
 from graspforce.control import ObjectController
+from graspforce.learning.actions.labels import MotionMonitor, motion_name
 from graspforce.simulation import ControllerCommand, Plant, Reference
 from graspforce.simulation.rendering import DisplayModel, capture_state
 
 _RATE = 30.0  # pictures per second
+_LABEL_PERIOD = 0.25  # simulated s between two labels of the motions
 _LONGEST_LAG = 0.2  # s: a simulation that is later than this does not hurry to catch up
 
 
@@ -31,7 +33,9 @@ class LiveRun:
     def __init__(self, view: LiveView) -> None:
         self._view = view
         self._start = self._last_step = time.monotonic()
-        self._last_shown = -np.inf
+        self._last_shown, self._next_label = -np.inf, 0.0
+        self._monitor: MotionMonitor | None = None
+        self._motions: dict[str, str] = {}
 
     def steered(self, controller: ObjectController) -> SteeredController:
         """Return the controller with the slip margin of the view."""
@@ -50,9 +54,10 @@ class LiveRun:
         """
         now = time.monotonic()
         step_time = 1e3 * (now - self._last_step)  # ms
+        self._label(plant)
         if now - self._last_shown >= 1.0 / _RATE:
             self._last_shown = now
-            readings = Readings.of_command(plant.t, command, plant.scene.grasp.hand, step_time)
+            readings = Readings.of_command(plant.t, command, plant.scene.grasp.hand, step_time, self._motions)
             self._view.show(capture_state(plant), readings)
         before = time.monotonic()
         self._view.wait_while_paused()
@@ -64,6 +69,22 @@ class LiveRun:
             self._start += lag - _LONGEST_LAG
         self._last_step = time.monotonic()
         return not self._view.is_stopped
+
+    def _label(self, plant: Plant) -> None:
+        """Label the present motions of the fingers in contact, four times in each simulated second.
+
+        Args:
+            plant: the plant.
+        """
+        if self._monitor is None:
+            grasp = plant.scene.grasp
+            self._monitor = MotionMonitor(grasp.hand, grasp.fingers)
+        if not self._monitor.is_due(plant.t):
+            return
+        self._monitor.add(plant.t, plant.state().q)
+        if plant.t >= self._next_label:
+            self._motions = {finger: motion_name(motion) for finger, motion in self._monitor.present().items()}
+            self._next_label = plant.t + _LABEL_PERIOD if self._motions else plant.t
 
 
 @contextmanager

@@ -20,6 +20,15 @@ from graspforce.core.lazy import lazy_exports
 if TYPE_CHECKING:
     from graspforce.learning.actions.finger_angles import finger_angles
     from graspforce.learning.actions.gist_ranking import ActionGist, GistHistogram, RankedGist, rank_gists
+    from graspforce.learning.actions.labels import (
+        MotionLabel,
+        MotionMonitor,
+        label_motions,
+        labelled_gist,
+        labels_at,
+        load_labels,
+        save_labels,
+    )
     from graspforce.learning.actions.meta_motions import META_MOTIONS, meta_motion_conditions
     from graspforce.learning.actions.recorded_motion import RecordedMotion, recorded_motion
     from graspforce.learning.actions.retrieval import SimilarRecording, find_similar, gist_similarity
@@ -65,6 +74,8 @@ __all__ = [
     "GloveReference",
     "LiveFrames",
     "MappedPosture",
+    "MotionLabel",
+    "MotionMonitor",
     "MotionSegment",
     "Network",
     "PostureFilter",
@@ -92,11 +103,16 @@ __all__ = [
     "fit_squeeze",
     "fit_synergies",
     "gist_similarity",
+    "label_motions",
+    "labelled_gist",
+    "labels_at",
+    "load_labels",
     "meta_motion_conditions",
     "neutral_correspondence",
     "rank_gists",
     "recorded_motion",
     "robust_squeeze",
+    "save_labels",
     "segment_finger",
     "squeeze_features",
     "virtual_object",
@@ -124,6 +140,15 @@ _HOMES = {
     "actions.meta_motions": ("META_MOTIONS", "meta_motion_conditions"),
     "actions.segmentation": ("GistSettings", "MotionSegment", "action_gist", "segment_finger"),
     "actions.finger_angles": ("finger_angles",),
+    "actions.labels": (
+        "MotionLabel",
+        "MotionMonitor",
+        "label_motions",
+        "labelled_gist",
+        "labels_at",
+        "load_labels",
+        "save_labels",
+    ),
     "actions.recorded_motion": ("RecordedMotion", "recorded_motion"),
     "actions.retrieval": ("SimilarRecording", "find_similar", "gist_similarity"),
     "actions.gist_ranking": ("ActionGist", "GistHistogram", "RankedGist", "rank_gists"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import threading
 from types import SimpleNamespace
@@ -18,6 +19,7 @@ from graspforce.browser import LiveView, Playback, Readings, ViewAddress
 from graspforce.browser.readings import torque_use
 from graspforce.browser.steering import SteeredController, SteeredReference, left_jacobian
 from graspforce.cli import run_view
+from graspforce.cli.live_view import LiveRun
 from graspforce.contact.motion import BodyMotion
 from graspforce.geometry.rotations import rotation_exp
 from graspforce.simulation import Plant, Recording, build_scene, constant_reference, linear_reference, simulate
@@ -204,6 +206,50 @@ def test_the_live_page_pauses_and_stops_a_run() -> None:
         np.testing.assert_array_equal(view.offset, np.zeros(6))
     finally:
         browser.close()
+        view.close()
+
+
+def moving_recording(recording: Recording) -> Recording:
+    """Return the recording with a thumb that bends at 30 °/s."""
+    q = np.array(recording.q)
+    q[:, list(GRASP.hand.finger("thumb").joints)[2:]] += np.radians(30.0) * recording.t[:, None]
+    return dataclasses.replace(recording, q=q)
+
+
+def test_a_played_recording_shows_the_motions_of_the_fingers(recording: Recording) -> None:
+    playback = Playback(SCENE, moving_recording(recording), ViewAddress(port=8461))
+    try:
+        assert "thumb: close" in playback.status
+        assert "index: " in playback.status
+    finally:
+        playback.close()
+
+
+def test_a_running_simulation_shows_the_motions_of_the_fingers() -> None:
+    """The thumb of a stand-in for the plant bends at 30 °/s, until the page shows its motion."""
+    view, plant, shown = LiveView(DisplayModel(SCENE), "Allegro", None, ViewAddress(port=8471)), Plant(SCENE), []
+    still = plant.reset()
+    command = ObjectController(GRASP, SETTINGS).step(still, BodyMotion(GRASP.p_HO, GRASP.R_HO))
+    bending = np.zeros(GRASP.hand.n)
+    bending[list(GRASP.hand.finger("thumb").joints)[2:]] = np.radians(30.0)
+
+    def show(state, readings) -> None:
+        shown.append(readings)
+        view.show(state, readings)
+
+    run = LiveRun(SimpleNamespace(show=show, wait_while_paused=lambda: None, is_stopped=False))
+    parts = {name: getattr(plant, name) for name in ("scene", "true_contacts", "object_motion", "data")}
+    try:
+        for k in range(5000):
+            state = dataclasses.replace(still, q=still.q + 1e-3 * k * bending)
+            run.follow(SimpleNamespace(t=1e-3 * k, state=lambda state=state: state, **parts), command)
+            if shown[-1].motions:
+                break
+        assert shown[0].motions == {}
+        assert set(shown[-1].motions) == set(GRASP.fingers)
+        assert shown[-1].motions["thumb"].startswith("close")
+        assert shown[-1].motion_text.count("rest") == len(GRASP.fingers) - 1
+    finally:
         view.close()
 
 

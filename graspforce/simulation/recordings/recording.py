@@ -19,6 +19,9 @@ from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.whole_file import replace_file
+from graspforce.hand.hand import Hand
+from graspforce.learning.actions.labels import LABEL_RATE, MotionLabel, label_motions
+from graspforce.learning.actions.segmentation import GistSettings
 
 _SCHEMA = "graspforce/recording/1"
 _TEXT_FIELDS = ("hand", "fingers", "joints", "warnings", "collisions", "grasp")
@@ -118,6 +121,20 @@ class Recording:
     def violation(self) -> Array:
         """(s, N) distances of the plant's forces from their friction cones, N; zero inside."""
         return friction.violation(self.f, self.mu, self.gamma)
+
+    def motion_labels(self, hand: Hand, settings: GistSettings | None = None) -> tuple[MotionLabel, ...]:
+        """Return the motions of all fingers, in the order in which they begin; none for a recording of less than 0.02 s.
+
+        Args:
+            hand: the hand of the recording.
+            settings: parameters of the segmentation, as in `label_motions`.
+
+        Raises:
+            InvalidInput: the hand has other joints.
+        """
+        if self.t[-1] - self.t[0] < 2.0 / LABEL_RATE:
+            return ()
+        return label_motions(hand, self.t, self.q, settings=settings)
 
     def since(self, start: float) -> Recording:
         """Return the part from a time on.

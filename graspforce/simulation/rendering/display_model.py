@@ -39,6 +39,7 @@ class DisplayModel:
         show_meshes: draw the meshes of the hand's URDF if it has any; otherwise links are modelled.
         directories: directories to search for mesh files, as in `Hand.meshes`.
         camera: frame and motion of the camera.
+        shows_object: draw the object; without it, the picture frames the hand alone.
 
     Attributes:
         model: of MuJoCo.
@@ -59,8 +60,9 @@ class DisplayModel:
         show_meshes: bool = True,
         directories: Sequence[str | os.PathLike[str]] = (),
         camera: CameraOptions | None = None,
+        shows_object: bool = True,
     ) -> None:
-        self.scene = scene
+        self.scene, self._shows_object = scene, shows_object
         hand, spec = scene.grasp.hand, scene.spec.copy()
         tree = hand.model.tree(own_fingers(hand))
         stage.add_materials(spec)
@@ -68,6 +70,8 @@ class DisplayModel:
         for name in scene.grasp.fingers:
             spec.geom(f"tip {name}").group = HIDDEN_GROUP  # the fingertip's collision shape
         spec.geom(OBJECT).material = OBJECT
+        if not shows_object:
+            spec.geom(OBJECT).group = HIDDEN_GROUP
         vertices, faces = _unit_cone()
         spec.add_mesh(name=_CONE, uservert=vertices.ravel().tolist(), userface=faces.ravel().tolist())
         spec.worldbody.add_camera(name=CAMERA, fovy=FIELD_OF_VIEW)
@@ -160,7 +164,7 @@ class DisplayModel:
         corners = []
         for i in range(model.ngeom):
             name = model.geom(i).name
-            if name == OBJECT or name.startswith(hand_geoms.HAND_PREFIX):
+            if (name == OBJECT and self._shows_object) or name.startswith(hand_geoms.HAND_PREFIX):
                 centre, half = model.geom_aabb[i, :3], model.geom_aabb[i, 3:]
                 corners.append(data.geom_xpos[i] + (centre + half * _SIGNS) @ data.geom_xmat[i].reshape(3, 3).T)
         return np.concatenate(corners), model, data

@@ -8,6 +8,7 @@
 | `/object/pose`, `/object/desired` | `foxglove.PoseInFrame` | true and desired pose of the object |
 | `/joint_states` | `foxglove.JointStates` | positions, rates and torques of the motors' joints |
 | `/contacts` | JSON | normal force and slip margin by finger, N; position error, mm |
+| `/actions` | JSON | the motions of the fingers: finger, number and name of the motion, duration, s |
 | `/log` | `foxglove.Log` | warnings of the controller, and collisions |
 
 Times count from the start of the run. Pictures and poses have 50 rows a second, joints and contacts as many as the recording.
@@ -26,6 +27,7 @@ from graspforce.contact import friction
 from graspforce.core import foxglove_messages as fox
 from graspforce.core.optional_libraries import optional_imports
 from graspforce.core.whole_file import replace_file
+from graspforce.learning.actions.labels import LABEL_SCHEMA, MotionLabel
 from graspforce.simulation.plants.scene import Scene
 from graspforce.simulation.recordings.recording import Recording
 from graspforce.simulation.rendering.display_model import DisplayModel
@@ -72,6 +74,7 @@ def save_mcap(
         writer = _Writer(display, context)
         writer.write_parts(part_meshes(display))
         writer.write_log(recording)
+        writer.write_actions(recording.motion_labels(scene.grasp.hand))
         next_picture = 0.0
         for row, t in enumerate(recording.t.tolist()):
             if t >= next_picture:
@@ -100,6 +103,7 @@ class _Writer:
         self._desired = channels.PoseInFrameChannel("/object/desired", context=context)
         self._joints = channels.JointStatesChannel("/joint_states", context=context)
         self._contacts = foxglove.Channel("/contacts", schema=_CONTACTS_SCHEMA, context=context)
+        self._actions = foxglove.Channel("/actions", schema=LABEL_SCHEMA, context=context)
         self._log = channels.LogChannel("/log", context=context)
 
     def write_parts(self, parts: Sequence[PartMesh]) -> None:
@@ -139,6 +143,15 @@ class _Writer:
         for t, text in sorted(lines):
             message = m.Log(timestamp=fox.timestamp(t), level=m.LogLevel.Warning, message=text, name=recording.hand)
             self._log.log(message, log_time=fox.log_time(t))
+
+    def write_actions(self, labels: Sequence[MotionLabel]) -> None:
+        """Write the motions of the fingers.
+
+        Args:
+            labels: the labels.
+        """
+        for each in labels:
+            self._actions.log(each.to_record(), log_time=fox.log_time(each.begin))
 
     def write_picture(self, recording: Recording, row: int) -> None:
         """Write the frames of all bodies, the object's poses, and the marks of the contacts.

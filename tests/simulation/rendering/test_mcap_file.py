@@ -56,9 +56,22 @@ def messages(tmp_path_factory):
 
 def test_topics_have_the_schemas_of_foxglove(messages) -> None:
     _, found = messages
-    assert set(found) == {*FOXGLOVE, "/contacts"}
+    assert set(found) == {*FOXGLOVE, "/contacts", "/actions"}
     for topic, name in FOXGLOVE.items():
         assert {schema for schema, _, _ in found[topic]} == {f"foxglove.{name}"}
+
+
+def test_actions_are_the_labels_of_the_recording(messages) -> None:
+    recording, found = messages
+    labels = recording.motion_labels(GRASP.hand)
+    assert {each.finger for each in labels} == {finger.name for finger in GRASP.hand.fingers}
+    assert {schema for schema, _, _ in found["/actions"]} == {"graspforce.MotionLabel"}
+    written = sorted((t, each["finger"], each["motion"], each["duration"]) for _, t, each in found["/actions"])
+    expected = sorted((each.begin, each.finger, each.motion, each.end - each.begin) for each in labels)
+    for one, other in zip(written, expected, strict=True):
+        assert one[1:3] == other[1:3]
+        assert one[0] == pytest.approx(other[0], abs=1e-9)
+        assert one[3] == pytest.approx(other[3], abs=1e-9)
 
 
 def test_poses_and_joints_are_those_of_the_recording(messages) -> None:

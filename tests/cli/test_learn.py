@@ -1,0 +1,126 @@
+"""``graspforce learn``: synergies with their film, and labels of recordings of simulations and servers."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image as PillowImage
+from support.control_requests import GRASP, HAND
+from support.servers import ANY_LOCAL_PORT
+
+from graspforce.cli import main
+from graspforce.control.joints.joint_command import JointMotion
+from graspforce.control.joints.joint_controller import JointController
+from graspforce.learning import PostureLibrary, load_labels
+from graspforce.service import Client, JointStreamSetup, Server
+from graspforce.service.recording.exchange import STATE, End, Header, this_machine, this_version
+from graspforce.service.recording.recording_reader import ServerRecording
+from graspforce.service.recording.recording_writer import RecordingWriter
+
+FILM = ["--duration", "0.5", "--fps", "4", "--film-size", "320x184", "--components", "1"]
+RATE = 50.0  # Hz, of the recorded stream
+STEPS = 100
+
+
+@pytest.fixture
+def library(tmp_path):
+    rng = np.random.default_rng(0)
+    closing = HAND.q_upper - HAND.neutral
+    q = HAND.neutral + 0.3 * rng.uniform(size=(20, 1)) * closing + 0.01 * rng.normal(size=(20, HAND.n))
+    PostureLibrary(HAND.joint_names, np.clip(q, HAND.q_lower, HAND.q_upper)).save(tmp_path / "postures.csv")
+    return str(tmp_path / "postures.csv")
+
+
+def test_synergies_are_shown_and_filmed(library, tmp_path, capsys):
+    files = ["--video", str(tmp_path / "film.webp"), "--frames", str(tmp_path / "frames"), "--plots", str(tmp_path / "plots")]
+    assert main(["learn", "synergies", library, "--hand", HAND.name, *FILM, *files]) == 0
+    assert "20 postures of 12 joints" in capsys.readouterr().out
+    frames = [np.asarray(PillowImage.open(path)) for path in sorted((tmp_path / "frames").iterdir())]
+    assert len(frames) == 2
+    assert (frames[0] != frames[1]).any()
+    with PillowImage.open(tmp_path / "film.webp") as film:
+        assert film.n_frames == 2
+    assert {path.name for path in (tmp_path / "plots").iterdir()} == {"variance.png", "errors.png", "postures.png"}
+
+
+def test_synergies_are_a_record(library, capsys):
+    assert main(["learn", "synergies", library, "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["postures"] == 20
+    assert record["cumulative_variance"][0] > 0.9
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--video", "film.webp"], "--hand"),
+        (["--components", "0"], "--components"),
+        (["--span", "0"], "--span"),
+        (["--hand", "leap_right"], "joints"),
+    ],
+)
+def test_impossible_synergies_are_refused(words, message, library, capsys):
+    assert main(["learn", "synergies", library, *words]) == 1
+    assert message in capsys.readouterr().err
+
+
+def test_a_simulated_run_is_labelled(tmp_path, capsys):
+    run = str(tmp_path / "run.npz")
+    command = ["simulate", "--hand", HAND.name, "--fingers", ",".join(GRASP.fingers), "--reference", "still"]
+    assert main([*command, "--duration", "0.1", "--save", run]) == 0
+    capsys.readouterr()
+    assert main(["learn", "label", run, "--save", str(tmp_path / "labels.csv")]) == 0
+    assert "Order: no finger moves" in capsys.readouterr().out
+    labels = load_labels(tmp_path / "labels.csv")
+    assert {each.finger for each in labels} == {finger.name for finger in HAND.fingers}
+    assert {each.text for each in labels} == {"rest"}
+    assert main(["learn", "label", run, "--record", str(tmp_path / "out.mcap")]) == 1
+    assert "--record" in capsys.readouterr().err
+
+
+def with_steady_times(source: Path, target: Path) -> None:
+    """Write a recording whose states arrived at a steady rate, whatever the speed of this machine."""
+    recording = ServerRecording.open(source)
+    header = Header(recording.clock, this_version(), this_machine(), recording.hands, recording.limits)
+    with target.open("wb") as file, RecordingWriter(file, header) as writer:
+        count = 0
+        for each in recording.exchanges():
+            each.received = each.sent = count / RATE
+            count += each.kind == STATE
+            writer.write(each)
+        writer.end(End(count, {}))
+
+
+def test_a_recording_of_a_server_gets_labels(tmp_path, capsys):
+    """A stream of joints in which the first finger rests, closes and rests; the labelled copy replays as the recording."""
+    pytest.importorskip("foxglove")
+    reader = pytest.importorskip("mcap.reader")
+    raw, day, labelled = (tmp_path / name for name in ("raw.mcap", "day.mcap", "labelled.mcap"))
+    first = HAND.fingers[0]
+    setup = JointStreamSetup(JointController.with_frequency(HAND, "pd_gravity", 3.0), 1.0 / RATE, validity=10.0)
+    with (
+        Server([HAND.name], listen=ANY_LOCAL_PORT, record=raw) as server,
+        Client(server.addresses[0]) as client,
+        client.open_joint_stream(setup) as stream,
+    ):
+        for k in range(STEPS):
+            q = np.array(HAND.neutral)
+            q[list(first.joints)[1:]] += 0.3 * np.clip(3.0 * k / STEPS - 1.0, 0.0, 1.0)
+            stream.step(JointMotion(q), JointMotion(q), wait=10.0)
+    with_steady_times(raw, day)
+    assert main(["learn", "label", str(day), "--record", str(labelled), "--json"]) == 0
+    (labels,) = json.loads(capsys.readouterr().out)["streams"].values()
+    motions = [each["name"].split()[0] for each in labels if each["finger"] == first.name]
+    assert motions == ["rest", "close", "rest"]
+    with labelled.open("rb") as file:
+        every = list(reader.make_reader(file, validate_crcs=True).iter_messages())
+    topic = next(channel.topic for _, channel, _ in every if channel.topic.endswith("/actions"))
+    written = [json.loads(message.data) for _, channel, message in every if channel.topic == topic]
+    assert [each["finger"] for each in written] == [each["finger"] for each in labels]
+    assert main(["replay", str(labelled)]) == 0
+    capsys.readouterr()
+    assert main(["learn", "label", str(day), "--record", str(day), "--force"]) == 1
+    assert "another file" in capsys.readouterr().err
