@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import mujoco
 import numpy as np
 from rich.console import Console
 from rich.progress import track
@@ -16,7 +15,6 @@ from graspforce.cli.json_output import put_result
 from graspforce.cli.options import RunFiles
 from graspforce.cli.tables import make_table
 from graspforce.core import arrays, fields
-from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
 from graspforce.geometry import Sphere
 from graspforce.grasp.body import Body
@@ -26,9 +24,10 @@ from graspforce.learning.object_size import correlate_with_size
 from graspforce.learning.posture_library import SIZE_COLUMNS, PostureLibrary
 from graspforce.learning.synergies import Synergies, fit_synergies
 from graspforce.simulation import build_scene
-from graspforce.simulation.plants.scene import Scene, set_posture
+from graspforce.simulation.plants.scene import Scene
 from graspforce.simulation.rendering import CameraOptions, DisplayModel, FilmWriter, Overlay, SceneState, make_renderer
 from graspforce.simulation.rendering.film import ANIMATIONS
+from graspforce.simulation.rendering.marks import posture_state
 from graspforce.simulation.rendering.overlay import COVERED
 
 _BALL, _MASS = 0.03, 0.05  # m, kg: the scene of a hand needs an object, which the film does not show
@@ -161,11 +160,4 @@ def _states(
     for k in range(min(options.components, len(synergies.components))):
         postures = np.clip(synergies.sweep(k, options.span, frames), hand.q_lower, hand.q_upper)
         for i, (q, factor) in enumerate(zip(postures, factors, strict=True)):
-            yield _state((k * frames + i) / rate, q, scene), f"synergy {k + 1}: {factor:+.1f} σ"
-
-
-def _state(t: float, q: Array, scene: Scene) -> SceneState:
-    """Return the state of a hand in a posture."""
-    data = mujoco.MjData(scene.model)
-    set_posture(scene, data, q, np.zeros(len(q)))
-    return SceneState(t, freeze(data.qpos), (), None, freeze(data.mocap_pos))
+            yield posture_state(scene, (k * frames + i) / rate, q), f"synergy {k + 1}: {factor:+.1f} σ"

@@ -124,6 +124,19 @@ def recorded_state(scene: Scene, recording: Recording, row: int) -> SceneState:
     return SceneState(float(recording.t[row]), freeze(data.qpos), marks, None, freeze(data.mocap_pos))
 
 
+def posture_state(scene: Scene, t: float, q: Array) -> SceneState:
+    """Return the state of a hand in a posture, without contacts.
+
+    Args:
+        scene: scene of a grasp of the hand; its object is where the grasp has it.
+        t: time, s.
+        q: (n,) joint positions, rad.
+    """
+    data = mujoco.MjData(scene.model)
+    set_posture(scene, data, q, np.zeros(len(q)))
+    return SceneState(t, freeze(data.qpos), (), None, freeze(data.mocap_pos))
+
+
 class MarkedContacts(Protocol):
     """Contacts that marks can show, such as those of a plant: see `TrueContacts`."""
 
