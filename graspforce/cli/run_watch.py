@@ -1,26 +1,52 @@
-"""The command ``graspforce watch``: compare recorded streams with the model, and show drift."""
+"""The command ``graspforce watch``: compare streams, recorded or running, with the model, and show drift."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
 from rich.text import Text
 
+from graspforce.cli.interruption import Interruption
 from graspforce.cli.json_output import put_result
 from graspforce.cli.tables import make_table
+from graspforce.core.errors import ErrorReply, InvalidInput
 from graspforce.core.printable import escape_controls
 from graspforce.estimation.twin import TwinReading, TwinSettings
+from graspforce.hand.hand import Hand
+from graspforce.service import Client
 from graspforce.service.recording.recording_reader import ServerRecording
 from graspforce.service.replay.replay import load_hands
-from graspforce.service.replay.watch import WatchedStream, watch_recording
+from graspforce.service.replay.watch import WatchedStream, watch_recording, watch_stream
 
 _MINUTE = 60.0  # s
+_TIMEOUT = 5.0  # s, for answers of the service
+
+
+@dataclass(frozen=True, slots=True)
+class WatchedService:
+    """A service whose stream is watched.
+
+    Args:
+        address: its Zenoh endpoint; None for the default.
+        stream: id of the stream; None for the only one.
+        duration: time after which to end, s.
+        secure: directory with certificates; None without TLS.
+    """
+
+    address: str | None
+    stream: str | None
+    duration: float
+    secure: str | os.PathLike[str] | None = None
 
 
 def run(path: Path, hands: Sequence[str], settings: TwinSettings, console: Console) -> bool:
-    """Show the figures of the twins. Return whether no stream drifts.
+    """Show the figures of the twins of a recording. Return whether no stream drifts.
 
     Args:
         path: the recording.
@@ -42,6 +68,103 @@ def run(path: Path, hands: Sequence[str], settings: TwinSettings, console: Conso
         console.print("No stream with exact states holds an object in this recording.")
     put_result(console, {"file": path, "streams": {id: each.to_dict() for id, each in streams.items()}})
     return all(each.first_drift is None for each in streams.values())
+
+
+def run_live(service: WatchedService, hands: Sequence[str], settings: TwinSettings, console: Console) -> bool:
+    """Watch a running stream until it ends, Ctrl-C, or the duration, and show its figures. Return whether it does not drift.
+
+    The first drift and each full minute are shown at once.
+
+    Args:
+        service: the service and its stream.
+        hands: names or description files of hands that replace shipped ones.
+        settings: limits.
+        console: shows the figures.
+
+    Raises:
+        InvalidInput: the stream cannot be watched, or it is not clear which one is meant.
+        ServiceError: no service, or the stream is not open.
+        UnknownName: a hand is not found.
+        ModelError: a hand cannot be read.
+    """
+    role = {} if service.secure is None else {"secure": service.secure, "name": "monitor"}
+    with Client(service.address, timeout=_TIMEOUT, **role) as client, Interruption() as interruption:  # type: ignore[arg-type]
+        monitor = client.monitor_stream(choose_stream(client, service.stream))
+        id = escape_controls(monitor.id)
+        console.print(f"Watching stream {id}. Ctrl-C ends it.", markup=False)
+        has_drifted, minute, end = False, 0, time.monotonic() + service.duration
+
+        def on_reading(reading: TwinReading) -> None:
+            nonlocal has_drifted, minute
+            if reading.drifts and not has_drifted:
+                has_drifted = True
+                console.print(_verdict(reading), soft_wrap=True)
+            if int(reading.t // _MINUTE) > minute:
+                minute = int(reading.t // _MINUTE)
+                console.print(
+                    f"{minute} min: motor share {reading.share:.3f}, residual {reading.residual:.2f}", highlight=False
+                )
+
+        def goes_on() -> bool:
+            return not interruption.is_requested and time.monotonic() < end
+
+        try:
+            known = load_named(hands, monitor.hand_name)
+            is_open = partial(is_stream_open, client, monitor.id)
+            stream = watch_stream(monitor, known, settings, on_reading, goes_on, is_open)
+        finally:
+            monitor.close()
+    _show(id, stream, console)
+    put_result(console, {"streams": {monitor.id: stream.to_dict()}})
+    return stream.first_drift is None
+
+
+def load_named(files: Sequence[str], name: str) -> Mapping[str, Hand]:
+    """Return the hand of a stream by its name.
+
+    Args:
+        files: names or description files of hands.
+        name: its name; a shipped hand if it is not among the files.
+
+    Raises:
+        UnknownName: a hand is not found: give its description file.
+        ModelError: a hand cannot be read.
+    """
+    given = {hand.name: hand for hand in map(Hand.load, files)}
+    return given if name in given else {name: Hand.load(name)}
+
+
+def choose_stream(client: Client, id: str | None) -> str:
+    """Return the id of the stream to follow.
+
+    Args:
+        client: the client of the service.
+        id: the wanted id; None for the only open stream.
+
+    Raises:
+        InvalidInput: no stream is open, or several are and none is named.
+    """
+    if id is not None:
+        return id
+    found = [each.id for each in client.status().active_streams]
+    if len(found) != 1:
+        allowed = f"one of the open streams: {', '.join(found)}" if found else "the id of an open stream; none is open"
+        raise InvalidInput("--stream", None, allowed)
+    return found[0]
+
+
+def is_stream_open(client: Client, id: str) -> bool:
+    """Return whether a stream is open.
+
+    Args:
+        client: the client of the service.
+        id: id of the stream.
+    """
+    try:
+        client.monitor_stream(id).close()
+    except ErrorReply:
+        return False
+    return True
 
 
 def _show(id: str, stream: WatchedStream, console: Console) -> None:

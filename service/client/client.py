@@ -35,6 +35,7 @@ from graspforce.service.client.requests import Requests
 from graspforce.service.client.server_presence import ServerPresence
 from graspforce.service.client.server_version import check_server
 from graspforce.service.client.stream import Stream
+from graspforce.service.client.stream_monitor import StreamMonitor
 from graspforce.service.client.watchdog import Watchdog
 from graspforce.service.client.zenoh_connection import ZenohConnection
 from graspforce.service.security.directory import CONTROLLER, client_settings
@@ -218,6 +219,23 @@ class Client:
             watchdog: motor torque while no commands arrive; by default `Watchdog()`.
         """
         return self._open(JointStream, dataclasses.replace(setup, authenticated=True), watchdog)
+
+    def monitor_stream(self, id: str) -> StreamMonitor:
+        """Follow the states and commands of a running stream, which `status().active_streams` lists, without taking part.
+
+        With TLS, the role is ``monitor``.
+
+        Args:
+            id: id of the stream.
+
+        Raises:
+            ErrorReply: no such stream is open.
+            IncompatibleServer: the server has no setups of streams.
+        """
+        self._require("stream_setups")
+        protocol.check_named_id(id, "stream")
+        answer = self._requests.ask_stream(f"setups/{id}", {})
+        return StreamMonitor(self._session, id, parse_record(dict, answer["setup"]))
 
     def _require(self, *capabilities: str) -> None:
         """Check once that the server can do what a request needs.

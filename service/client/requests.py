@@ -64,17 +64,18 @@ class Requests:
         return self._first_answer(key, send, sequence, timeout)
 
     def ask_stream(self, key: str, record: JsonRecord) -> JsonRecord:
-        """Open a stream at the nearest server, or close it wherever it is, and return the answer.
+        """Open a stream at the nearest server, or close it or ask for its setup wherever it is, and return the answer.
 
         Args:
-            key: key of the stream after the prefix.
+            key: key of the stream, or of its setup, after the prefix.
             record: the request without its envelope.
         """
         sequence = next(self._sequence)
         # The proofs of a repeated opening: its server may be frozen, and the next attempt reaches another one.
         is_repeated = "close" not in record and len(record.get("proof", ())) > 1
         timeout = min(self._timeout, _REOPEN_TIMEOUT) if is_repeated else self._timeout
-        target = zenoh.QueryTarget.ALL if "close" in record else zenoh.QueryTarget.BEST_MATCHING
+        is_anywhere = "close" in record or key.startswith("setups/")
+        target = zenoh.QueryTarget.ALL if is_anywhere else zenoh.QueryTarget.BEST_MATCHING
 
         def send(remaining: float) -> Iterable[zenoh.Reply]:
             payload = protocol.encode(Envelope(sequence, remaining).wrap(record), self._codec)

@@ -1,12 +1,10 @@
-"""Twins of the recorded streams that hold an object."""
+"""Twins of streams that hold an object, recorded or running."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
-
-import msgspec
 
 from graspforce.contact.contact import ContactSet
 from graspforce.control import GraspState
@@ -15,20 +13,18 @@ from graspforce.core.json_text import JsonRecord
 from graspforce.estimation.motor_share import HeldState
 from graspforce.estimation.twin import Twin, TwinReading, TwinSettings
 from graspforce.hand.hand import Hand
+from graspforce.service.client.stream_monitor import COMMAND_DECODERS, StreamMonitor, StreamStep
 from graspforce.service.recording.exchange import STATE, Exchange
 from graspforce.service.recording.recording_reader import ServerRecording
 from graspforce.service.wire import protocol
-from graspforce.service.wire.command_records import CommandRecord
 from graspforce.service.wire.control_records import StreamSetup
 from graspforce.service.wire.memory_records import to_array
 from graspforce.service.wire.stream_setups import read_setup
 from graspforce.service.wire.stream_state import StreamState
 
 _STREAMS = "streams/"
-_DECODERS: dict[str, Any] = {
-    protocol.JSON: msgspec.json.Decoder(CommandRecord),
-    protocol.MSGPACK: msgspec.msgpack.Decoder(CommandRecord),
-}
+_POLL = 0.05  # s, between two readings of the messages
+_SILENCE = 1.0  # s without messages, after which to ask whether the stream is open
 
 
 @dataclass(slots=True)
@@ -48,6 +44,23 @@ class WatchedStream:
     states: int = 0
     last: TwinReading | None = field(default=None)
     first_drift: TwinReading | None = field(default=None)
+
+    def add(self, step: StreamStep) -> TwinReading | None:
+        """Give a step to the twin, and return its reading if it has one.
+
+        Args:
+            step: the step.
+        """
+        state = _held_state(self.setup, step)
+        if state is None:
+            return None
+        self.states += 1
+        reading = self.twin.add(state)
+        if reading is not None:
+            self.last = reading
+            if reading.drifts and self.first_drift is None:
+                self.first_drift = reading
+        return reading
 
     def to_dict(self) -> JsonRecord:
         """Return a plain record."""
@@ -79,15 +92,57 @@ def watch_recording(
             _open(exchange, hands, settings, streams)
         elif exchange.ok and exchange.kind == STATE and exchange.key in streams:
             stream = streams[exchange.key]
-            state = _held_state(stream.setup, exchange)
-            reading = None if state is None else stream.twin.add(state)
-            stream.states += state is not None
+            step = _recorded_step(stream.setup, exchange)
+            reading = None if step is None else stream.add(step)
             if reading is not None:
-                stream.last = reading
-                if reading.drifts and stream.first_drift is None:
-                    stream.first_drift = reading
                 on_reading(exchange.key, reading)
     return streams
+
+
+def watch_stream(
+    monitor: StreamMonitor,
+    hands: Mapping[str, Hand],
+    settings: TwinSettings | None = None,
+    on_reading: Callable[[TwinReading], None] = lambda reading: None,
+    goes_on: Callable[[], bool] = lambda: True,
+    is_open: Callable[[], bool] = lambda: True,
+) -> WatchedStream:
+    """Compare a running stream with the model until it ends.
+
+    Args:
+        monitor: the monitor of the stream.
+        hands: hands by name, with that of the stream.
+        settings: limits of the twin.
+        on_reading: called with each reading.
+        goes_on: whether to go on; called twenty times a second.
+        is_open: whether the stream is still open; called once a second without states.
+
+    Returns:
+        The stream, with its twin.
+
+    Raises:
+        InvalidInput: the stream controls no held object, or its states are measurements.
+        UnknownName: its hand is not among `hands`.
+    """
+    setup = monitor.read_setup(hands)
+    if setup.sensors is not None:
+        raise InvalidInput("--stream", monitor.id, "a stream with exact states; this one has measurements")
+    stream = WatchedStream(setup, Twin(setup.grasp, setup.settings.gravity_H, settings))
+    last = time.monotonic()
+    while goes_on():
+        steps = monitor.take_all()
+        for step in steps:
+            reading = stream.add(step)
+            if reading is not None:
+                on_reading(reading)
+        if steps:
+            last = time.monotonic()
+        elif time.monotonic() - last > _SILENCE:
+            if not is_open():
+                break
+            last = time.monotonic()
+        time.sleep(_POLL)
+    return stream
 
 
 def _open(
@@ -104,13 +159,18 @@ def _open(
         streams[exchange.key.removeprefix(_STREAMS)] = WatchedStream(setup, twin)
 
 
-def _held_state(setup: StreamSetup, exchange: Exchange) -> HeldState | None:
-    """Return the state of a stream with its commanded torques; None if other contacts hold the object."""
+def _recorded_step(setup: StreamSetup, exchange: Exchange) -> StreamStep | None:
+    """Return a recorded state with its command; None if the state cannot be read."""
     try:
         state = StreamState.decode(setup.hand, exchange.payload, protocol.select_codec(exchange.encoding))
     except InvalidInput:
         return None
-    command = _DECODERS[exchange.reply_encoding].decode(exchange.reply)
+    return StreamStep(state, COMMAND_DECODERS[exchange.reply_encoding].decode(exchange.reply))
+
+
+def _held_state(setup: StreamSetup, step: StreamStep) -> HeldState | None:
+    """Return the state of a stream with its commanded torques; None if other contacts hold the object."""
+    state, command = step.state, step.command
     change = command.contact_change
     if not isinstance(state.state, GraspState) or (change is not None and change.number > setup.change_number):
         return None

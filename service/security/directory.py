@@ -9,7 +9,8 @@
 | ``roles.json``             | role of each client: "controller" or "monitor"               |
 | ``NAME.json5``             | Zenoh configuration of the server or of a client             |
 
-Controllers may use all keys. Monitors may ask for status, schemas, descriptions and poses. Nobody but the server answers
+Controllers may use all keys. Monitors may ask for status, schemas, descriptions, poses and setups of streams, and follow the
+messages of streams. Nobody but the server answers
 queries, publishes commands or has its liveliness token.
 """
 
@@ -34,8 +35,9 @@ _MAX_SESSIONS = 64  # connections of clients
 _SIZE_LIMITS = {"look": 64 * 2**10, "states": 66 * 2**10, "plans": 128 * 2**10}  # bytes of messages, with their attachment
 _ROLES_FILE = "roles.json"
 _ALL = f"{protocol.NAMESPACE}/**"
-_MONITOR_KEYS = [f"{protocol.PREFIX}/{key}" for key in ("status", "hands/*", "hands/*/forward", "schema/**")]
-_CONTROLLER_KEYS = [f"{protocol.PREFIX}/{key}" for key in ("*", "hands/**", "schema/**")]
+_MONITOR_KEYS = [f"{protocol.PREFIX}/{key}" for key in ("status", "hands/*", "hands/*/forward", "schema/**", "setups/**")]
+_CONTROLLER_KEYS = [f"{protocol.PREFIX}/{key}" for key in ("*", "hands/**", "schema/**", "setups/**")]
+_STREAM_MESSAGES = [f"{protocol.PREFIX}/streams/**/{name}" for name in ("state", "command")]
 
 
 def init_directory(path: str | os.PathLike[str], hosts: Sequence[str] = ()) -> Path:
@@ -253,7 +255,11 @@ def _access_rules(names: dict[str, list[str]]) -> dict[str, object]:
         _rule("servers", "egress", ["liveliness_token"], [alive]),
         _rule("presence", "ingress", ["liveliness_query", "declare_liveliness_subscriber"], [alive]),
     ]
-    look = [_rule("look", "ingress", ["query"], _MONITOR_KEYS)]
+    look = [
+        _rule("look", "ingress", ["query"], _MONITOR_KEYS),
+        _rule("watch", "ingress", ["declare_subscriber"], _STREAM_MESSAGES),
+        _rule("watched", "egress", ["put"], _STREAM_MESSAGES),
+    ]
     ask = [
         _rule("ask", "ingress", ["query"], _CONTROLLER_KEYS),
         _rule("cancel", "egress", ["declare_subscriber"], [f"{protocol.PREFIX}/plans/**/cancel"]),

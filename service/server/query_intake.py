@@ -23,7 +23,7 @@ from graspforce.service.server.work_queues import (
 from graspforce.service.wire import protocol
 from graspforce.service.wire.schemas.catalogue import SCHEMA
 
-_STREAM_KEYS = ("streams/*", "streams/*/*")
+_STREAM_KEYS = ("streams/*", "streams/*/*", "setups/*", "setups/*/*")
 
 
 class QueryIntake:
@@ -88,14 +88,14 @@ class QueryIntake:
         """Put a query that no other queryable answers into the status queue: an unknown key, hand or version."""
         asked, known = query.key_expr, self._known_keys
         key = str(asked).removeprefix(f"{protocol.PREFIX}/")
-        is_own = key.startswith(("streams/", SCHEMA)) and any(each.intersects(asked) for each in known[-3:])
+        is_own = key.startswith(("streams/", "setups/", SCHEMA)) and any(each.intersects(asked) for each in known[-5:])
         if key in self._keys or is_own:
             return
         if "*" not in key or not any(each.intersects(asked) for each in known):
             self.receive(key, query, CostClass.STATUS)
 
     def _receive_stream_request(self, query: zenoh.Query) -> None:
-        """Put a query that opens or closes a stream into its queue."""
+        """Put a query that opens or closes a stream, or asks for its setup, into its queue."""
         key = str(query.key_expr).removeprefix(f"{protocol.PREFIX}/")
         if "*" not in key:
             self.receive(key, query)

@@ -48,10 +48,12 @@ from graspforce.service.workers.planning_worker import PlanningWorker
 _SEND_TIME = 0.1  # s of the budget that are kept for the answer's way back
 _MAX_EXPLANATION_TIME = 1.0  # s, because other requests wait
 _MAX_ENTRIES_TO_EXPLAIN = 100_000  # of the constraint matrix
+SETUPS = "setups"  # first part of the keys of the setups of open streams
 HAND_TASKS = ("control", "distribute", "forward", "inverse", *TASKS)  # last parts of the keys below hands/<hand>
 _MESSAGES = ("/state", "/command")  # ends of the keys of a stream's messages
 _CAPABILITIES = (
     "grasp_search", "measurements", "contact_changes", "authenticated_streams", "torque_step", "client_keys", "regrasp_search",
+    "stream_setups",
 )  # fmt: skip
 log = logging.getLogger("graspforce.service")
 
@@ -271,6 +273,8 @@ class RequestHandler:
             raise UnknownName("version", rest.partition("/")[0], [protocol.VERSION])
         if top == SCHEMA:
             return partial(self._schema, rest)
+        if top == SETUPS and rest.count("/") <= 1:
+            return partial(self._setup, rest)
         if top == "streams" and rest.count("/") <= 1 and not rest.endswith(_MESSAGES):
             return partial(self._stream, rest)
         hand, _, task = rest.rpartition("/")
@@ -279,15 +283,18 @@ class RequestHandler:
             allowed = "" if self._hands else "the name of a served hand; this server has none"
             raise UnknownName("hand", hand, self._hands, allowed)
         raise UnknownName(
-            "key", key, (*self._tasks, *self.plan_keys, "streams/<id>", "streams/<client>/<id>", f"{SCHEMA}/<name>")
+            "key",
+            key,
+            (*self._tasks, *self.plan_keys, "streams/<id>", "streams/<client>/<id>", f"{SETUPS}/<id>", f"{SCHEMA}/<name>"),
         )
 
     def _statistics_key(self, key: str) -> str:
         """Return the key under which a request is counted; unknown keys have one, so that clients cannot grow the table."""
         if key.startswith("streams/"):
             return "streams"
-        if key.startswith(f"{SCHEMA}/"):
-            return SCHEMA
+        for top in (SCHEMA, SETUPS):
+            if key.startswith(f"{top}/"):
+                return top
         return key if key in self._tasks else "other"
 
     def _solve(self, record: Any, options: _RequestOptions) -> JsonRecord:
@@ -342,6 +349,11 @@ class RequestHandler:
         plan = given.get("plan")
         check_contact_count(plan.get("hold") if isinstance(plan, dict) else given.get("hold"), self._limits.contacts)
         return self.streams.answer(id, record, options.client)
+
+    def _setup(self, id: str, record: object, options: _RequestOptions) -> JsonRecord:
+        """Answer ``setups/<id>`` and ``setups/<client>/<id>``."""
+        check_empty_request(record)
+        return self.streams.setup(id)
 
     def _describe(self, hand: Hand, record: object, options: _RequestOptions) -> JsonRecord:
         """Answer ``hands/<hand>``."""

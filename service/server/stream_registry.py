@@ -116,6 +116,20 @@ class StreamRegistry:
         opened = existing or stream
         return {**answer, **({"epoch": opened.epoch.hex()} if opened.epoch else {"key": (opened.key or b"").hex()})}
 
+    def setup(self, id: str) -> JsonRecord:
+        """Return the setup of an open stream as a plain record, and the number of its last change of contacts. Nothing changes.
+
+        Args:
+            id: id of the stream.
+
+        Raises:
+            UnknownName: the stream is not open.
+        """
+        stream = self._open.get(id)
+        if stream is None:
+            raise UnknownName("stream", id, (), "the id of an open stream; `status` lists them")
+        return {"stream": id, "joints": list(stream.setup.hand.joint_names), "setup": stream.setup.to_dict()}
+
     def _check_capacity(self, client: bytes) -> None:
         """Refuse a new stream of a client if too many are open."""
         own = sum(stream.owner == client for stream in self._open.values())

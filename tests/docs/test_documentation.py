@@ -188,6 +188,7 @@ def test_the_wire_page_has_an_exchange_for_every_kind_of_key():
         for place, name in (
             ("hands/[^/]+", "hands/<hand>"),
             ("streams/[^/]+", "streams/<id>"),
+            ("setups/[^/]+", "setups/<id>"),
             ("plans/[^/]+$", "plans/<id>/progress"),
             ("^schema/.+", "schema/<name>"),
             ("^alive/.+", "alive/<server>"),

@@ -90,6 +90,28 @@ def test_monitors_only_look(directory, served):
             assert caught.value.code == "forbidden"
 
 
+def test_monitors_follow_streams_and_cannot_drive_them(directory, served):
+    with Client(served, secure=directory, timeout=TIMEOUT) as driver, driver.open_stream(GRASP, validity=TIMEOUT) as stream:
+        with Client(served, secure=directory, name="monitor", timeout=TIMEOUT) as client:
+            monitor = client.monitor_stream(stream.id)
+            assert monitor.read_setup({"four_finger": GRASP.hand}).grasp.to_dict() == GRASP.to_dict()
+            steps = []
+            for i in range(200):
+                command = stream.step(state(i), desired(), wait=TIMEOUT)
+                steps += monitor.take_all()
+                if steps:
+                    break
+            wait_until(lambda: steps.extend(monitor.take_all()) or steps)
+            assert command.tau.shape == (12,)
+            assert steps[0].command.sequence == steps[0].state.sequence
+        with Client(served, secure=directory, name="arm-7", timeout=TIMEOUT) as other:
+            unheard = other.monitor_stream(stream.id)
+            unheard.read_setup({"four_finger": GRASP.hand})
+            for i in range(20):
+                stream.step(state(i), desired(), wait=TIMEOUT)
+            assert unheard.take_all() == []
+
+
 def test_clients_without_a_certificate_of_the_authority_are_refused(served, tmp_path):
     stranger = init_directory(tmp_path / "stranger")
     for options in ({"secure": stranger}, {}):

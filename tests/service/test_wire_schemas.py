@@ -36,7 +36,7 @@ def validator(name: str) -> jsonschema.Draft202012Validator:
 def schema_of(key: str) -> str:
     """Return the name of the schemas of a key, without request or reply."""
     top, *rest = key.split("/")
-    return "/".join([top, *rest[1:]]) if top in ("hands", "streams") else key
+    return "/".join([top, *rest[1:]]) if top in ("hands", "streams", "setups") else key
 
 
 def records(value: Any, node: Any, root: dict[str, Any], path: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any, ...], str]]:
@@ -138,7 +138,8 @@ def test_the_records_of_this_test_have_all_parts_of_requests():
         seen |= {key for _, key in records(record, {k: schema[k] for k in ("$ref", "anyOf") if k in schema}, schema)}
     known = {key for name in SCHEMA_NAMES if name.endswith(("request", "state")) for key in wire_schema(name)["$defs"]}
     assert known - seen <= {
-        "CloseRequest", "StatusRequest", "HandRequest", "GraspRank", "GraspClass", "AnalysisRequest", "QualityRequest",
+        "CloseRequest", "StatusRequest", "SetupQuery", "HandRequest", "GraspRank", "GraspClass", "AnalysisRequest",
+        "QualityRequest",
         "JointState", "JointMotionRecord", "ForceState", "MeasuredTorqueRecord", "DesiredTorqueRecord",
     }  # fmt: skip
 

@@ -38,6 +38,7 @@ _REQUESTS: dict[str, tuple[tuple[type, ...], tuple[type, ...]]] = {
     "hands/distribute": ((request_types.DistributeRequest,), (solution_types.SolutionReply,)),
     "hands/control": ((request_types.ControlRequest,), (CommandRecord,)),
     "hands/plan": (_MOVES, (reply_types.PlanReply,)),
+    "setups": ((request_types.SetupQuery,), (reply_types.SetupReply,)),
     "streams": (_SETUPS, (reply_types.OpenedReply, reply_types.ClosedReply)),
 }
 _MESSAGES: dict[str, tuple[type, ...]] = {

@@ -337,6 +337,20 @@ class OpenedReply(ReplyEnvelope, kw_only=True):
     epoch: str | None = None
 
 
+class SetupReply(ReplyEnvelope, kw_only=True):
+    """The reply `setups/<id>`.
+
+    Args:
+        stream: id of the stream.
+        joints: names of the joints in the order of the torques.
+        setup: the record that opened the stream, as in `streams/request`, without proofs.
+    """
+
+    stream: str
+    joints: list[str]
+    setup: dict[str, Any]
+
+
 class ClosedReply(ReplyEnvelope, kw_only=True):
     """The reply to a query that closes a stream.
 

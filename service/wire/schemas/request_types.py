@@ -48,6 +48,10 @@ class StatusRequest(EnvelopeRecord, forbid_unknown_fields=True, kw_only=True):
     """The request `status`."""
 
 
+class SetupQuery(EnvelopeRecord, forbid_unknown_fields=True, kw_only=True):
+    """The request `setups/<id>`."""
+
+
 class HandRequest(EnvelopeRecord, forbid_unknown_fields=True, kw_only=True):
     """The request `hands/<hand>`.
 

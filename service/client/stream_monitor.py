@@ -1,0 +1,152 @@
+"""A monitor of a running control stream: it reads states and commands beside the driver, and never takes part.
+
+Zenoh copies the messages to the monitor in threads of its own, and drops them if the monitor is late. The control step of the
+server does not wait for it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections import OrderedDict
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import msgspec
+import zenoh
+from zenoh.handlers import RingChannel
+
+from graspforce.core.errors import InvalidInput
+from graspforce.core.json_text import JsonRecord
+from graspforce.hand.hand import Hand
+from graspforce.service.wire import protocol
+from graspforce.service.wire.command_records import CommandRecord
+from graspforce.service.wire.control_records import StreamSetup
+from graspforce.service.wire.stream_setups import AnySetup, read_setup
+from graspforce.service.wire.stream_state import StreamState
+
+_RING_SIZE = 4096  # messages: 4 s of a stream at 1 kHz
+_WAITING = 64  # states whose commands may still arrive
+COMMAND_DECODERS: dict[str, Any] = {
+    protocol.JSON: msgspec.json.Decoder(CommandRecord),
+    protocol.MSGPACK: msgspec.msgpack.Decoder(CommandRecord),
+}
+"""Decoders of commands by encoding."""
+
+
+class StreamStep(NamedTuple):
+    """A state of a stream and its command.
+
+    Attributes:
+        state: the state.
+        command: the command, with arrays as on the wire.
+    """
+
+    state: StreamState
+    command: CommandRecord
+
+
+class StreamMonitor:
+    """A subscriber to the states and commands of one stream. One thread at a time uses it. Close it with `close`.
+
+    Args:
+        session: an open session.
+        id: id of the stream, its key after ``streams/``.
+        record: the record that opened it.
+    """
+
+    def __init__(self, session: zenoh.Session, id: str, record: JsonRecord) -> None:
+        self.id, self.record = id, record
+        key = f"{protocol.PREFIX}/streams/{id}"
+        self._states = session.declare_subscriber(f"{key}/state", RingChannel(_RING_SIZE))
+        self._commands = session.declare_subscriber(f"{key}/command", RingChannel(_RING_SIZE))
+        self._waiting: OrderedDict[int, StreamState] = OrderedDict()
+        self._setup: AnySetup | None = None
+
+    @property
+    def hand_name(self) -> str:
+        """Name of the hand."""
+        return str(self.record["hand"])
+
+    def read_setup(self, hands: Mapping[str, Hand]) -> StreamSetup:
+        """Return the setup of the stream.
+
+        Args:
+            hands: hands by name, with that of the stream.
+
+        Raises:
+            InvalidInput: the stream controls no held object: it has phases, or controls joints.
+            UnknownName: its hand is not among `hands`.
+        """
+        setup = read_setup(hands, self.record)
+        if not isinstance(setup, StreamSetup):
+            raise InvalidInput("--stream", self.id, "a stream that controls a held object; this one has another kind")
+        self._setup = setup
+        return setup
+
+    @cached_property
+    def _hand(self) -> Hand:
+        """The hand, after `read_setup`."""
+        if self._setup is None:
+            raise InvalidInput("setup", None, "read by read_setup before the first step")
+        return self._setup.hand
+
+    def take_all(self) -> list[StreamStep]:
+        """Return the steps since the last call, the earliest first, without unreadable messages. Does not wait."""
+        for sample in _drain(self._states):
+            self._keep_state(sample)
+        steps = []
+        for sample in _drain(self._commands):
+            command = _read_command(sample)
+            state = None if command is None or command.sequence is None else self._waiting.pop(command.sequence, None)
+            if command is not None and state is not None:
+                steps.append(StreamStep(state, command))
+        while len(self._waiting) > _WAITING:
+            self._waiting.popitem(last=False)
+        return steps
+
+    def take_newest(self) -> StreamStep | None:
+        """Return the newest step since the last call, or None. Does not wait, and reads two messages only, mostly."""
+        states, commands = _drain(self._states), _drain(self._commands)
+        for sample in states[-_WAITING:]:
+            self._keep_state(sample)
+        while len(self._waiting) > _WAITING:
+            self._waiting.popitem(last=False)
+        for sample in reversed(commands):
+            command = _read_command(sample)
+            state = None if command is None or command.sequence is None else self._waiting.get(command.sequence)
+            if command is not None and state is not None:
+                return StreamStep(state, command)
+        return None
+
+    def close(self) -> None:
+        """Stop receiving."""
+        with contextlib.suppress(zenoh.ZError):  # a closed session has undeclared both
+            self._states.undeclare()
+            self._commands.undeclare()
+
+    def _keep_state(self, sample: zenoh.Sample) -> None:
+        """Keep a state for its command."""
+        with contextlib.suppress(InvalidInput):
+            codec = protocol.select_codec(str(sample.encoding))
+            state = StreamState.decode(self._hand, sample.payload.to_bytes(), codec)
+            self._waiting.pop(state.sequence, None)  # so that a repeated number is the newest
+            self._waiting[state.sequence] = state
+
+
+def _drain(subscriber: Any) -> list[zenoh.Sample]:
+    """Return the waiting samples of a subscriber, the earliest first."""
+    samples = []
+    with contextlib.suppress(zenoh.ZError):  # closed
+        while (sample := subscriber.handler.try_recv()) is not None:
+            samples.append(sample)
+    return samples
+
+
+def _read_command(sample: zenoh.Sample) -> CommandRecord | None:
+    """Return a command; None for an error record."""
+    try:
+        decoder = COMMAND_DECODERS[protocol.select_codec(str(sample.encoding))]
+        return decoder.decode(sample.payload.to_bytes())  # type: ignore[no-any-return]
+    except (InvalidInput, msgspec.MsgspecError):
+        return None
