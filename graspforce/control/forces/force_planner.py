@@ -4,7 +4,8 @@ The slip margin of other contacts may differ: it covers the errors of the drives
 change of contacts it therefore moves at a bounded rate, |ds/dt| ≤ 2 N/s, from the last margin to the new one.
 
 While a finger lets go, the margin may become infeasible. It then falls at the same rate towards the largest margin of the
-other fingers, and the force of the finger waits as long.
+other fingers, and the force of the finger waits as long. While a finger joins, the margin waits where it cannot rise, or falls
+at this rate.
 
 Where a small step of the ramp moves a force by more than 2 r Δt, with the rate r of the ramp, a part of the step is taken.
 Changes of the forces that the state causes do not count.
@@ -16,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from graspforce.control.contacts.contact_change import ForceRamp
+from graspforce.control.contacts.contact_change import FORCE_RATE, ForceRamp
 from graspforce.control.contacts.contact_conditions import ContactConditions
 from graspforce.control.contacts.lost_drives import LostDrives
 from graspforce.control.contacts.slip_reflex import ReflexMemory, SlipReflex
@@ -52,6 +53,8 @@ _SAME_MARGIN = 1e-9  # N
 _MOST_CHANGE = 2.0  # of a force in a step, relative to that of the ramp's rate
 _LEAST_SHARE = 0.1  # of a step of a ramp that is divided
 _DIVISIONS = 2  # of a step
+_STEEP = 5.0  # change of a force, relative to that of the limits: the margin is then near its largest value
+_MARGIN_SHARES = (1.0, 0.3, 0.1, 0.03, 0.01)  # of the largest change of the margin, tried in this order
 _AS_MODELLED = ContactConditions()
 _NOMINAL = ContactPlan(None, None, None)
 
@@ -124,15 +127,76 @@ class ForcePlanner:
             The plan, with a smaller step of its ramp if forces or margin would change too fast otherwise; and the forces.
         """
         forces = self._solve(plan, targets, tau_u)
-        if plan.ramp is None or memory.ramp is None or memory.f is None or forces.f is None:
+        if memory.f is None or forces.f is None:
             return plan, forces
-        if plan.margin is not None and memory.margin is not None and _is_releasing(plan.ramp):
-            lowest = max(memory.margin - self._margin_change, 0.0)  # N
-            if forces.margin < lowest:
-                waiting = plan._replace(ramp=memory.ramp, margin=lowest)
-                held = self._solve(waiting, targets, tau_u)
-                return (waiting, held) if held.f is not None and held.margin > forces.margin else (plan, forces)
+        if plan.ramp is None or memory.ramp is None:
+            is_moving = plan.ramp is None and memory.ramp is None and plan.margin is not None and forces.margin >= plan.margin
+            return self._divide_step(plan, forces, memory, targets, tau_u) if is_moving else (plan, forces)
+        if plan.margin is not None and memory.margin is not None:
+            is_releasing = _is_releasing(plan.ramp)
+            enough = max(memory.margin - self._margin_change, 0.0) if is_releasing else min(plan.margin, memory.margin)  # N
+            if forces.margin < enough:
+                return self._keep_margin(plan, forces, memory, targets, tau_u)
+            change = float(np.abs(forces.f - memory.f).max())  # N
+            steep = max(self._largest_change(plan.ramp) / _MOST_CHANGE, _STEEP * (plan.ramp.change or 0.0))  # N
+            if is_releasing and change > steep:
+                plan, forces = self._lower_margin(plan, (plan, forces), memory, targets, tau_u, change)
         return self._divide_step(plan, forces, memory, targets, tau_u)
+
+    def _keep_margin(
+        self, plan: ContactPlan, forces: MarginResult, memory: ControlMemory, targets: StepTargets, tau_u: Array
+    ) -> tuple[ContactPlan, MarginResult]:
+        """Return plan and forces of a step whose margin would fall too fast.
+
+        A finger that joins goes on with the last margin if it is feasible. Otherwise the ramp waits, and the margin falls, by
+        less where forces would change too much: near the largest margin they change with the root of its distance.
+        """
+        ramp, last, margin = memory.ramp, memory.f, memory.margin
+        if ramp is None or last is None or margin is None:
+            return plan, forces
+        if not _is_releasing(plan.ramp):
+            going = plan._replace(margin=margin)
+            kept = self._solve(going, targets, tau_u)
+            if kept.f is not None and kept.margin >= margin:
+                return self._divide_step(going, kept, memory, targets, tau_u)
+        return self._lower_margin(plan._replace(ramp=ramp), (plan, forces), memory, targets, tau_u)
+
+    def _lower_margin(
+        self,
+        plan: ContactPlan,
+        found: tuple[ContactPlan, MarginResult],
+        memory: ControlMemory,
+        targets: StepTargets,
+        tau_u: Array,
+        least: float = np.inf,
+    ) -> tuple[ContactPlan, MarginResult]:
+        """Return the plan with a lower margin whose forces change least from the last ones, and these forces.
+
+        Args:
+            plan: the plan.
+            found: plan and forces to return otherwise.
+            memory: memory after the last step.
+            targets: targets of the step.
+            tau_u: (n,) torques without contact forces, N·m.
+            least: change of the forces that were found, N; infinite for a margin that was lost.
+        """
+        last, margin, lost = memory.f, memory.margin, not np.isfinite(least)
+        if last is None or margin is None:
+            return found
+        for share in _MARGIN_SHARES:
+            lower = max(margin - share * self._margin_change, 0.0)  # N
+            if lost and lower <= found[1].margin:
+                continue
+            lowered = plan._replace(margin=lower)
+            forces = self._solve(lowered, targets, tau_u)
+            if forces.f is None or forces.margin < lower * (1.0 - _SAME_MARGIN):
+                break
+            change = float(np.abs(forces.f - last).max())  # N
+            if change < least:
+                least, found, lost = change, (lowered, forces), False
+            if change <= self._largest_change(plan.ramp) / _MOST_CHANGE:
+                break
+        return found
 
     def _divide_step(
         self, plan: ContactPlan, forces: MarginResult, memory: ControlMemory, targets: StepTargets, tau_u: Array
@@ -142,23 +206,30 @@ class ForcePlanner:
         What the state alone changes does not count: noise of an estimated state moves the forces more than the ramp.
         """
         ramp, last, share = memory.ramp, memory.f, 1.0
-        if ramp is None or last is None:
+        if last is None:
             return plan, forces
-        largest = _MOST_CHANGE * ramp.rate * self._settings.period  # N
+        largest, rise = self._largest_change(ramp), 0.0  # N
+        if plan.margin is not None and memory.margin is not None:
+            rise = plan.margin - memory.margin  # N
         if forces.f is not None and float(np.abs(forces.f - last).max()) > largest:
-            held = self._solve(plan._replace(ramp=ramp), targets, tau_u)
+            held = self._solve(plan._replace(ramp=ramp, margin=memory.margin), targets, tau_u)
             last = last if held.f is None else held.f
         for _ in range(_DIVISIONS):
             change = 0.0 if forces.f is None else float(np.abs(forces.f - last).max())  # N
             if change <= largest:
                 break
             share *= max(largest / change, _LEAST_SHARE)
-            smaller = plan._replace(ramp=self._next_ramp(memory, share))
+            margin = plan.margin if memory.margin is None else memory.margin + share * rise
+            smaller = plan._replace(ramp=self._next_ramp(memory, share), margin=margin)
             part = self._solve(smaller, targets, tau_u)
-            if part.f is None or part.margin < forces.margin:
+            if part.f is None or part.margin < min(forces.margin, np.inf if margin is None else margin):
                 break
             plan, forces = smaller, part
         return plan, forces
+
+    def _largest_change(self, ramp: ForceRamp | None) -> float:
+        """Return the largest change of a force in a step with a ramp, or after one, N."""
+        return _MOST_CHANGE * (FORCE_RATE if ramp is None else ramp.rate) * self._settings.period
 
     def _solve(self, plan: ContactPlan, targets: StepTargets, tau_u: Array) -> MarginResult:
         """Return the forces of a plan; none if they keep no margin while a finger lets go."""

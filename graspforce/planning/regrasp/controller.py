@@ -1,4 +1,8 @@
-"""Execution of a regrasp plan: object moves, and steps of single fingers with forces that rise and fall at a bounded rate."""
+"""Execution of a regrasp plan: object moves, and steps of single fingers with forces that rise and fall at a bounded rate.
+
+At the end of a step the fingertip presses slowly against the surface, by 0.1 mm. It then touches before the forces count on it:
+the object is off its planned pose by some hundredths of a millimetre.
+"""
 
 from __future__ import annotations
 
@@ -23,10 +27,14 @@ class RegraspPhase(str, Enum):
 
     MOVE = "move"  # all fingers move the object
     RELEASE = "release"  # the force of one finger falls
-    STEP = "step"  # that finger moves without contact
+    STEP = "step"  # that finger moves without contact, and touches
     LOAD = "load"  # its force rises at the new contact
     DONE = "done"  # the object rests at the end of the path
     STOPPED = "stopped"  # the others could not hold the object; all fingers hold it at rest
+
+
+_PRESS_DEPTH = 1e-4  # m: of a tip into the surface
+_PRESS_TIME = 0.1  # s
 
 
 class RegraspController:
@@ -57,7 +65,7 @@ class RegraspController:
         self.stage, self.phase, self._time = 0, RegraspPhase.MOVE, 0.0
         self._q = np.array(self._plan.task.grasp.q)  # desired posture at rest, rad
         self._path: JointPath | None = None
-        self._offset = np.zeros(len(self._q))
+        self._offset = self._press = np.zeros(len(self._q))
         self.command_fingers = self._controller.grasp.fingers
         self._begin()
 
@@ -110,6 +118,10 @@ class RegraspController:
             return GraspMotion(path.motion(now, rate * length, acceleration * length), q, rate * length * slope, rest)
         u_rest = stage.end.u
         if self.phase is RegraspPhase.STEP and isinstance(stage, FingerStage) and self._path is not None:
+            if self._time > stage.duration:
+                s, rate, acceleration = minimum_jerk(self._time - stage.duration, _PRESS_TIME)
+                pressed = stage.postures[-1] + s * self._press
+                return GraspMotion(path.motion(u_rest), pressed, rate * self._press, acceleration * self._press)
             s, rate, acceleration = minimum_jerk(self._time, stage.duration)
             points = self._path.points(np.array([s]))
             decay, decay_rate, decay_acceleration = 1.0 - s, -rate, -acceleration
@@ -141,8 +153,9 @@ class RegraspController:
             joints = list(self._plan.task.grasp.hand.finger(stage.finger).joints)
             self._offset = np.zeros(len(self._q))
             self._offset[joints] = state.q[joints] - stage.postures[0][joints]
+            self._press = self._press_motion(stage)
             self._enter(RegraspPhase.STEP)
-        elif self.phase is RegraspPhase.STEP and self._time >= stage.duration:
+        elif self.phase is RegraspPhase.STEP and self._time >= stage.duration + _PRESS_TIME:
             change = ContactChange(add={stage.finger: stage.contact}, force_rate=self._rate)
             self._q = np.array(stage.end.q)
             self._controller.change_contacts(change, state)
@@ -150,6 +163,16 @@ class RegraspController:
         elif self.phase is RegraspPhase.LOAD and not self._controller.is_changing:
             self._next_stage()
             self._change_phase(state)
+
+    def _press_motion(self, stage: FingerStage) -> Array:
+        """Return the joint motion that moves a tip into the surface at the end of its step, (n,), rad."""
+        hand, q = self._plan.task.grasp.hand, stage.postures[-1]
+        joints = list(hand.finger(stage.finger).joints)
+        J = hand.tips_along(q[None], [stage.finger])[1][0, 0][:, joints]
+        normal_H = self._plan.task.path.motion(stage.end.u).R_HO @ stage.contact.normal
+        press = np.zeros(hand.n)
+        press[joints] = np.linalg.pinv(J) @ (_PRESS_DEPTH * normal_H)
+        return press
 
     def _next_stage(self) -> None:
         """Begin the next stage."""

@@ -130,6 +130,20 @@ def test_margins_of_other_contacts_are_approached_at_a_bounded_rate(name: str, i
     assert np.abs(np.diff([command.tau for command in commands], axis=0)).max() < 5e-3  # N·m: half the watchdog's bound
 
 
+@pytest.mark.parametrize(("name", "slip_margin"), [("dlr_hit2 sphere", 3.0), ("four_finger box", 5.0)])
+def test_torques_do_not_step_at_a_slip_margin_that_is_infeasible(name: str, slip_margin: float) -> None:
+    """Near the largest margin forces change with the root of its distance: the margin moves less there, or waits."""
+    grasp = named_grasp(name)
+    controller = ObjectController(grasp, settings_with(slip_margin=slip_margin))
+    state, contact = state_at_rest(grasp), grasp.contacts.contacts[1]
+    commands = [controller.step(state, pose_at_rest(grasp)) for _ in range(3)][-1:]
+    for change in (ContactChange(release=[grasp.fingers[1]]), ContactChange(add={grasp.fingers[1]: contact})):
+        controller.change_contacts(dataclasses.replace(change, force_rate=RATE), state)
+        commands += [command for _, command in run_change(controller, 5000)]
+    assert all(command.solution.found and not command.forces_reused for command in commands)
+    assert np.abs(np.diff([command.tau for command in commands], axis=0)).max() < 0.02  # N·m
+
+
 def test_finger_stays_without_a_jump_if_the_others_keep_no_slip_margin() -> None:
     """Two point contacts cannot balance gravity across their line: the third finger keeps its force."""
     grasp = named_grasp("dlr_hit2 sphere")
