@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from graspforce.core.arrays import Array
-from graspforce.grasp.search.candidates import Candidates
+from graspforce.grasp.search.candidates import Candidates, Indices
+from graspforce.grasp.search.faces import FaceDistances
 from graspforce.grasp.search.goal import SearchGoal
 from graspforce.grasp.search.prior import PosturePrior
+from graspforce.grasp.search.side_conditions import OPPOSED_COS
 from graspforce.hand.hand import Hand
 
 _SAMPLES = 300  # random candidates for each set of fingers
@@ -38,8 +40,30 @@ def sample_candidates(goal: SearchGoal, rng: np.random.Generator, prior: Posture
     weights = np.full((B, N), 0.5 / (N - 1))  # λ: the single finger balances the others
     weights[rows, alone] = 0.5
     p_O = ((tips - p_HO[:, None]) @ R_HO).reshape(-1, 3)
-    face = goal.rough_faces(p_O).face_distance.argmax(axis=1).reshape(B, N)
+    faces = goal.rough_faces(p_O)
+    face = faces.face_distance.argmax(axis=1).reshape(B, N)
+    if goal.requirements.side.opposing:
+        face = _opposed(face, faces, goal.requirements.side.opposing)
     return Candidates(np.hstack([q, p_HO, np.zeros((B, 3)), weights]), R_HO, face)
+
+
+def _opposed(face: Indices, faces: FaceDistances, opposing: int) -> Indices:
+    """Return the faces of candidates, (B, N), with faces for the opposing fingers that oppose the first finger's.
+
+    Args:
+        face: (B, N) nearest face of each finger.
+        faces: distances of the fingertips, B N points.
+        opposing: number of fingers, after the first, that oppose it.
+    """
+    (B, N), P = face.shape, faces.face_distance.shape[1]
+    distance, normal = faces.face_distance.reshape(B, N, P), faces.normal.reshape(B, N, P, 3)
+    first = normal[np.arange(B), 0, face[:, 0]]
+    opposed, chosen = -(normal @ first[:, None, :, None])[..., 0] > OPPOSED_COS, face.copy()
+    nearest = np.where(opposed, distance, -np.inf).argmax(axis=2)
+    for k in range(1, 1 + opposing):
+        has_one = opposed[:, k].any(axis=1)
+        chosen[has_one, k] = nearest[has_one, k]
+    return np.asarray(chosen)
 
 
 def random_axes(v: Array, rng: np.random.Generator) -> Array:

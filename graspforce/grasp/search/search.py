@@ -24,6 +24,7 @@ from graspforce.grasp.search.common_joints import without_common_joints
 from graspforce.grasp.search.goal import SearchGoal, hull_points
 from graspforce.grasp.search.grasp_class import GraspClass, class_finger_sets, opposing_fingers
 from graspforce.grasp.search.options import GraspSearchOptions, GraspSearchProgress, check_search
+from graspforce.grasp.search.pair_distances import Pair
 from graspforce.grasp.search.prior import PosturePrior
 from graspforce.grasp.search.refinement import refine, refine_in_prior
 from graspforce.grasp.search.sampling import sample_candidates
@@ -34,12 +35,14 @@ _DESCENTS = 16  # candidates that are refined, at most
 _PREFERENCE_WEIGHTS = (1.0, 0.1)  # the second descent gives the requirements more weight against the preferences
 _OVERLAP_DESCENTS = 3  # further ones of a candidate whose links overlap, each with the distances of all overlaps found
 _MANY_OVERLAPS = 3  # candidates with overlaps after which further ones are refined without their overlaps at once
-_NEARLY_FEASIBLE = 0.003  # m: a geometric fault that the second descent may remove
+_NEARLY_FEASIBLE = 0.003  # m: a geometric fault that the second descent may remove, with the distances of overlaps
 _ENOUGH_LOADED = 2  # candidates that support every load, if one meets all requirements: the search chooses the best of them
 _ENOUGH_UNMOVABLE = 4  # the same, if none can be moved as far as required
 _ENOUGH_TOUCHING = 8  # candidates with possible contacts: if none supports the loads, the search ends
 _PRIOR_DESCENTS = 5  # candidates of a prior that are refined, at most
 _DEFAULT_TRAVEL = 0.005  # m
+_JOINTS_WITHOUT_SPIN = 4  # of a finger: three for the velocity of the contact, and one for no spin about its normal
+_KNOWN_OVERLAPS = 6  # pairs of bodies that overlapped in earlier candidates, whose distances later ones keep
 _TABLE_CLEARANCE = 0.006  # m, of fingers and palm
 
 RefineSet = Callable[[list[SearchGoal], LoadRequirements, np.random.Generator, int, "_SearchWatch"], list[CandidateResult]]
@@ -108,7 +111,9 @@ def find_grasp(
     kinematics = BatchKinematics(hand)
     p_HP, R_HP = hand.link_poses(hand.neutral)[hand.palm]
     palm_normal_H = palm_normal(hand, kinematics, R_HP) if options.palm_normal_H is None else freeze(options.palm_normal_H)
-    if options.travel is None:  # fewer descents for the travel that is only preferred
+    if options.travel is None and _is_held_by_spin(hand, finger_sets, options):
+        attempts = [(0.0, _DESCENTS)]
+    elif options.travel is None:  # fewer descents for the travel that is only preferred
         attempts = [(_DEFAULT_TRAVEL, _DESCENTS // 2), (0.0, _DESCENTS)]
     else:
         attempts = [(options.travel, _DESCENTS)]
@@ -182,10 +187,17 @@ def _refine_best(
 
 
 def _refined_results(starts: Sequence[tuple[SearchGoal, Candidates]], load: LoadRequirements) -> Iterator[CandidateResult]:
-    """Yield the results of candidates. The first ones with overlaps are refined again without these at the end only."""
+    """Yield the results of candidates. The first ones with overlaps are refined again without these at the end only.
+
+    Pairs of bodies that overlap in one candidate often do in the next: later ones keep their distances from the start.
+    """
     overlapping: list[_Refined] = []
+    known: dict[Pair, None] = {}  # pairs that overlapped in earlier candidates, in the order in which they were found
     for goal, start in starts:
-        each = _refined(goal, start, load)
+        forbidden = set(goal.forbidden_pairs.pairs) if known else set()
+        pairs = [pair for pair in known if pair in forbidden][:_KNOWN_OVERLAPS]
+        each = _refined(goal.with_pairs(pairs) if pairs else goal, start, load)
+        known.update(dict.fromkeys(each.result.overlaps))
         if each.result.overlaps and len(overlapping) >= _MANY_OVERLAPS:
             each = _without_overlaps(each, load)
         elif each.result.overlaps:
@@ -233,6 +245,8 @@ def _refined(goal: SearchGoal, one: Candidates, load: LoadRequirements) -> _Refi
         result = check_candidate(goal, one, load)
         if not 0.0 < result.penalty - 1.0 < _NEARLY_FEASIBLE:
             break
+        if result.overlaps:
+            goal = goal.with_pairs(result.overlaps)
     return _Refined(goal, one, result)
 
 
@@ -329,6 +343,13 @@ def _finger_sets(
         )
         raise InvalidInput("fingers", fingers, allowed)
     return [[chosen]]
+
+
+def _is_held_by_spin(hand: Hand, finger_sets: list[list[tuple[int, ...]]], options: GraspSearchOptions) -> bool:
+    """Return whether every set has a soft finger of fewer than four joints: it must spin on an object that it follows."""
+    soft = [options.pad_friction is not None or finger.torsional_friction is not None for finger in hand.fingers]
+    held = [is_soft and len(finger.joints) < _JOINTS_WITHOUT_SPIN for is_soft, finger in zip(soft, hand.fingers, strict=True)]
+    return all(any(held[i] for i in each) for sets in finger_sets for each in sets)
 
 
 def _all_soft(hand: Hand, fingers: Sequence[int]) -> bool:

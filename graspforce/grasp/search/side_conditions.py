@@ -9,7 +9,7 @@ import numpy as np
 from graspforce.core.arrays import Array
 
 _APPROACH_COS = float(np.cos(np.radians(30.0)))  # of the largest angle between approach direction and palm normal
-_OPPOSED_COS = float(np.cos(np.radians(25.0)))  # of the largest angle between opposed normals
+OPPOSED_COS = float(np.cos(np.radians(25.0)))  # of the largest angle between opposed normals
 _COSINE_LENGTH = 0.02  # m: a cosine that lacks 1 counts as this length
 
 
@@ -47,7 +47,7 @@ class SideConditions:
         if self.up_O is not None:
             columns.append((points @ self.up_O - radii).min(axis=1) + self.table_height - self.table_clearance)
         for k in range(1, 1 + self.opposing):
-            columns.append(_COSINE_LENGTH * (-(normal[:, 0] * normal[:, k]).sum(axis=1) - _OPPOSED_COS))
+            columns.append(_COSINE_LENGTH * (-(normal[:, 0] * normal[:, k]).sum(axis=1) - OPPOSED_COS))
         return np.stack(columns, axis=1) if columns else np.zeros((len(normal), 0))
 
     def texts(self, names: list[str]) -> list[str]:

@@ -13,7 +13,12 @@ from graspforce.core.errors import InvalidInput
 from graspforce.geometry import Box, Cylinder, Solid, Sphere
 from graspforce.grasp import Body, Grasp, GraspClass, GraspRank, GraspSearchOptions, find_grasp, find_grasps, measure_grasp
 from graspforce.grasp.collision.scene_collision import SceneCollision
+from graspforce.grasp.search.batch_kinematics import BatchKinematics
+from graspforce.grasp.search.candidates import GeometryRequirements
+from graspforce.grasp.search.goal import SearchGoal
 from graspforce.grasp.search.grasp_class import ENVELOPING_CLASSES
+from graspforce.grasp.search.sampling import sample_candidates
+from graspforce.grasp.search.side_conditions import SideConditions
 from graspforce.hand.hand import Hand
 
 BAR = Cylinder(0.02, 0.08)
@@ -51,6 +56,15 @@ def test_a_class_has_its_number_of_fingers_and_its_thumb(name: str) -> None:
     grasp = grasp_of(name)
     assert len(grasp.fingers) == SIZES.get(name, 3)
     assert ("thumb" in grasp.fingers) is (name != "adduction-grip")
+
+
+def test_sampled_contacts_of_opposing_fingers_are_on_opposed_faces() -> None:
+    hand, up = Hand.load(HAND), np.array([0.0, 0.0, 1.0])
+    requirements = GeometryRequirements(0.002, 0.4, up, np.zeros(3), 0.0, SideConditions(opposing=2))
+    goal = SearchGoal(hand, BatchKinematics(hand), Box([0.04, 0.05, 0.08]), (0, 1, 2, 3), requirements)
+    face = sample_candidates(goal, np.random.default_rng(0)).face  # the last three of six are opposite to the first three
+    assert (face[:, 1:3] == ((face[:, 0] + 3) % 6)[:, None]).all()
+    assert (face[:, 3] != (face[:, 0] + 3) % 6).any()
 
 
 @pytest.mark.parametrize(

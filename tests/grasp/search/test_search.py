@@ -17,7 +17,7 @@ from graspforce.core.errors import UnknownName
 from graspforce.geometry import Box, Cylinder, ImplicitSurface, Sphere
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
-from graspforce.grasp.search import GraspSearchOptions, find_grasp, travel_limits
+from graspforce.grasp.search import GraspSearchOptions, GraspSearchProgress, find_grasp, travel_limits
 from graspforce.grasp.search.batch_kinematics import BatchKinematics, rotations
 from graspforce.grasp.search.faces import face_distances
 from graspforce.hand.descriptions.description import shipped_hands
@@ -149,7 +149,7 @@ def as_soft(points: Grasp) -> Grasp:
 def test_soft_contacts_stop_before_they_would_spin() -> None:
     """With four rows for each contact by Pinocchio, the spin included, the residual is zero up to the limit only."""
     ball, fingers = OBJECTS["big green ball"], ("thumb", "index", "ring")
-    points = find_grasp(Hand.load("allegro_right"), body_of(ball), fingers, friction=ball.friction)
+    points = find_grasp(Hand.load("allegro_right"), body_of(ball), fingers, friction=ball.friction, seed=1)
     grasp, step = as_soft(points), 1e-4  # m
     limits = travel_limits(grasp, 0.005)
     limited = [limit for limit in limits if limit.reason]
@@ -171,6 +171,20 @@ def test_fingers_of_three_joints_cannot_move_soft_contacts() -> None:
     for limit in travel_limits(as_soft(find_object_grasp("four_finger", "big green ball"))):
         assert limit.distance == 0.0
         assert "cannot follow without spinning on the object" in limit.reason
+
+
+def test_search_ends_early_where_no_object_can_be_moved() -> None:
+    """Soft fingers of three joints cannot follow an object: the search does not look for a grasp that allows it."""
+    tried = list[int]()
+
+    def callback(progress: GraspSearchProgress) -> bool:
+        tried.append(progress.tried)
+        return True
+
+    options = GraspSearchOptions(pad_friction=0.004, callback=callback)
+    grasp = find_grasp(Hand.load("four_finger"), body_of(OBJECTS["big green ball"]), friction=0.6, options=options)
+    assert all(limit.distance == 0.0 for limit in travel_limits(grasp))
+    assert max(tried) <= 4
 
 
 def _spin_jacobian(grasp: Grasp, q: np.ndarray, p_HO: np.ndarray) -> np.ndarray:
