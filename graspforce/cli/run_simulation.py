@@ -33,7 +33,7 @@ from graspforce.grasp.search import relax_idle_fingers
 from graspforce.hand.contact_tips import has_contact_tips
 from graspforce.hand.heat import report_heat
 from graspforce.service import DEFAULT_VALIDITY, Client, start_server_process
-from graspforce.simulation import ControllerCommand, Plant, PlantInterface, Recording, Scene, World
+from graspforce.simulation import ControllerCommand, Plant, PlantInterface, Recording, Reference, Scene, World
 from graspforce.simulation.plants.scene import TIP_GEOMETRIES
 from graspforce.simulation.rendering import missing_display_reason
 from graspforce.simulation.worlds.world_plants import with_drives
