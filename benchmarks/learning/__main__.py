@@ -11,7 +11,17 @@ import json
 from pathlib import Path
 
 from benchmarks import report_page
-from benchmarks.learning import actions, force_starts, glove, grasp_prior, postures, squeeze, start_values, teleoperation
+from benchmarks.learning import (
+    actions,
+    force_starts,
+    glove,
+    grasp_prior,
+    learner_figures,
+    postures,
+    squeeze,
+    start_values,
+    teleoperation,
+)
 
 SECTIONS = {
     "postures": postures,
@@ -21,6 +31,7 @@ SECTIONS = {
     "start_values": start_values,
     "force_starts": force_starts,
     "squeeze": squeeze,
+    "learner_figures": learner_figures,
     "actions": actions,
 }
 RECORDS = Path("benchmarks/results/records/learning")

@@ -6,10 +6,10 @@ torque, and with them a start for 300 other feasible problems. Starts are: *cold
 related, or of the problem 1 ms earlier on a smooth path of the same object, which is the ordinary warm start of `Solver`; the
 solution of the *nearest* solved problem in wrench and posture; the solution of the solved problem whose forces are nearest to
 those that a network with 50 hidden units predicts (*network*); and, as a limit for every learned start, the exact solution of
-the same problem with all multipliers (*exact*). The machine was shared: use the ratios. Each start of the kernel has forces, active set and multipliers. Time is the
-median of processor time for the start and the certified solution; in parentheses without the time to predict the forces and to
-find the nearest problem (a k-d tree). Learned starts are compared with the certificate as judge:
-all solutions are certified, and a start that does not help costs time only.
+the same problem with all multipliers (*exact*). The machine was shared: use the ratios. Each start of the kernel has forces,
+active set and multipliers. Time is the median of processor time for the start and the certified solution; in parentheses
+without the time to predict the forces and to find the nearest problem (a k-d tree). The certificate is the judge: all solutions
+are certified, and a start that does not help costs time only.
 
 *Active set*: the fraction of problems in which the network's forces have the same contacts on the edge of their friction cone,
 and the same normal forces at their limit, as the solution, to 1 % of the force; the time of its prediction; and the time of a
@@ -304,7 +304,7 @@ def _verdict(results: list[dict[str, Any]]) -> str:
     ]
     texts = [f"{low:.1f} to {high:.1f} times the time of the {usual} start" for usual, low, high in saved]
     return (
-        f"The better learned start takes {texts[0]} for random problems, and {texts[1]} on a path; without prediction and search, "
-        f"{min(alone):.1f} to {max(alone):.1f} times the time of the cold start. "
+        f"The better learned start takes {texts[0]} for random problems, and {texts[1]} on a path; "
+        f"without prediction and search, {min(alone):.1f} to {max(alone):.1f} times the time of the cold start. "
         + ("It pays." if pays else "It does not pay, and `Solver` has no learned start.")
     )

@@ -60,7 +60,7 @@ def run(_records: Path, pictures: Path) -> dict[str, Any]:
     Args:
         pictures: folder of the pictures.
     """
-    runs = _simulate(_RUNS)
+    runs = simulated_runs(_RUNS)
     results: dict[str, list[tuple[float, float]]] = {}
     for seed in range(_SEEDS):
         order = np.random.default_rng(100 + seed).permutation(_RUNS)
@@ -83,8 +83,12 @@ def run(_records: Path, pictures: Path) -> dict[str, Any]:
     }
 
 
-def _simulate(count: int) -> Runs:
-    """Return simulated runs; arrangements that cannot hold the object are drawn again."""
+def simulated_runs(count: int) -> Runs:
+    """Return simulated runs; arrangements that cannot hold the object are drawn again.
+
+    Args:
+        count: number of runs.
+    """
     rng, x, needed, estimated = np.random.default_rng(0), [], [], []
     while len(x) < count:
         number, radius = int(rng.integers(3, 5)), rng.uniform(0.02, 0.04)
@@ -142,10 +146,8 @@ def _bounds(runs: Runs, train: Array, test: Array, seed: int) -> dict[str, Array
 
 def _fuzzy(x: Array, y: Array, seed: int) -> Any:
     """Return rules of Takagi and Sugeno: linear consequents, and Gaussian memberships around the centres of k-means."""
-    from sklearn.cluster import KMeans
-
     mean, scale = x.mean(axis=0), x.std(axis=0)
-    centres = KMeans(_RULES, n_init=3, random_state=seed).fit((x - mean) / scale).cluster_centers_
+    centres = rule_centres(x, seed)
 
     def basis(z: Array) -> Array:
         z = (z - mean) / scale
@@ -157,6 +159,19 @@ def _fuzzy(x: Array, y: Array, seed: int) -> Any:
     A = basis(x)
     theta = np.linalg.solve(A.T @ A + 1e-3 * np.eye(A.shape[1]), A.T @ y)
     return lambda z: basis(z) @ theta
+
+
+def rule_centres(x: Array, seed: int) -> Array:
+    """Return the centres of the rules' memberships (12, d), in standard deviations of the features.
+
+    Args:
+        x: (N, d) features.
+        seed: of k-means.
+    """
+    from sklearn.cluster import KMeans
+
+    scaled = (x - x.mean(axis=0)) / x.std(axis=0)
+    return np.asarray(KMeans(_RULES, n_init=3, random_state=seed).fit(scaled).cluster_centers_)
 
 
 def _plot(needed: Array, bound: Array) -> Figure:

@@ -41,8 +41,8 @@ HANDS = {
 }
 _PLACES = 500
 _SIZES = (25, 50, 100, 200, 350, 500)
-_PATTERNS = 500
-_STEP = 0.01  # s
+PATTERNS = 500
+STEP = 0.01  # s
 
 
 def run(_records: Path, pictures: Path) -> dict[str, Any]:
@@ -56,14 +56,20 @@ def run(_records: Path, pictures: Path) -> dict[str, Any]:
     return {"curve": curve, "starts": [_count(name, finger) for name, finger in HANDS.items()]}
 
 
-def _patterns(amplitude: float, frequencies: tuple[float, float], count: int) -> tuple[Array, Array]:
-    """Return inputs (N, 18) and outputs (N, 12) of a motion of a held ball along y and z."""
+def carry_patterns(amplitude: float, frequencies: tuple[float, float], count: int) -> tuple[Array, Array]:
+    """Return inputs (N, 18) and outputs (N, 12) of a motion of a held ball along y and z.
+
+    Args:
+        amplitude: of both directions, m.
+        frequencies: of y and z, Hz.
+        count: number N of patterns, 10 ms apart.
+    """
     hand = Hand.load("four_finger")
     grasp = find_grasp(hand, Body.solid(Sphere(0.03), 0.05), tuple(finger.name for finger in hand.fingers))
     q, p = grasp.q, grasp.p_HO
     places, postures = [p], [q]
     for k in range(1, count + 2):
-        t = k * _STEP
+        t = k * STEP
         shift = amplitude * np.array([0.0, np.sin(2 * np.pi * frequencies[0] * t), np.sin(2 * np.pi * frequencies[1] * t)])
         q = hand.grasp_posture(grasp.fingers, grasp.contacts, p + shift, grasp.R_HO, q)
         places.append(p + shift)
@@ -75,10 +81,10 @@ def _patterns(amplitude: float, frequencies: tuple[float, float], count: int) ->
 
 def _paper_network() -> list[dict[str, Any]]:
     """Return the errors by number of patterns."""
-    x, y = _patterns(0.004, (0.5, 0.8), 2 * _PATTERNS)
-    other_x, other_y = _patterns(0.003, (0.7, 0.45), _PATTERNS)
+    x, y = carry_patterns(0.004, (0.5, 0.8), 2 * PATTERNS)
+    other_x, other_y = carry_patterns(0.003, (0.7, 0.45), PATTERNS)
     order = np.random.default_rng(0).permutation(len(x))
-    train, test = order[:_PATTERNS], order[_PATTERNS:]
+    train, test = order[:PATTERNS], order[PATTERNS:]
 
     def error(network: Any, inputs: Array, outputs: Array) -> float:
         return float(np.sqrt(np.square(network.predict(inputs) - outputs).mean() / np.square(outputs).mean()))
@@ -94,7 +100,7 @@ def _paper_network() -> list[dict[str, Any]]:
     scale, test_scale = np.square(other_y).mean(), np.square(y[test]).mean()
     rows.append(
         {
-            "size": -_PATTERNS,  # of the ensemble
+            "size": -PATTERNS,  # of the ensemble
             "train": None,
             "test": float(np.sqrt(np.square(inside - y[test]).mean() / test_scale)),
             "other": float(np.sqrt(np.square(mean - other_y).mean() / scale)),
