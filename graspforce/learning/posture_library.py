@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
@@ -33,6 +34,7 @@ from graspforce.hand.hand import Hand
 SIZE_COLUMNS = ("opposition", "ventral", "lateral")
 _POSE_COLUMNS = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _OBJECT_COLUMN = "object"
+_ROUNDING = 1e-9  # s
 _PARALLEL = 1e-6  # smaller part of a unit vector across another: they count as parallel
 _RESERVED = (_OBJECT_COLUMN, *SIZE_COLUMNS, *_POSE_COLUMNS)
 
@@ -94,6 +96,34 @@ class PostureLibrary:
         sizes = np.array([object_size(grasp) for grasp in every])
         poses = np.array([_pose_row(grasp) for grasp in every])
         return cls(names[0], np.array([grasp.q for grasp in every]), tuple(objects), freeze(sizes), freeze(poses))
+
+    @classmethod
+    def from_motion(
+        cls, joints: Sequence[str], t: npt.ArrayLike, q: npt.ArrayLike, every: float = 0.1, least_change: float = 0.02
+    ) -> PostureLibrary:
+        """Return postures of a recorded motion, such as that of a stream or a glove, without repetitions at rest.
+
+        Args:
+            joints: names of the n joints.
+            t: (T,) times, s, in order.
+            q: (T, n) joint positions, rad.
+            every: least time between two postures, s, > 0.
+            least_change: a posture is kept if a joint differs by more from the last kept one, rad, ≥ 0.
+
+        Raises:
+            InvalidInput: names the field and what is allowed.
+        """
+        times = arrays.check_array(t, "t", (None,))
+        postures = arrays.check_array(q, "q", (len(times), len(tuple(joints))))
+        every = arrays.check_number(every, "every", above=0.0)
+        least_change = arrays.check_number(least_change, "least_change", minimum=0.0)
+        kept: list[int] = []
+        for i, now in enumerate(times.tolist()):
+            if kept and now < times[kept[-1]] + every - _ROUNDING:
+                continue
+            if not kept or np.abs(postures[i] - postures[kept[-1]]).max() > least_change:
+                kept.append(i)
+        return cls(tuple(joints), freeze(postures[kept]))
 
     def for_hand(self, hand: Hand) -> PostureLibrary:
         """Return the library with the joints of a hand, in its order.

@@ -1,4 +1,4 @@
-"""Labels of the motions of fingers in the recorded streams."""
+"""Postures in the recorded streams, and labels of the motions of their fingers."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.hand.hand import Hand
 from graspforce.learning.actions.labels import MotionLabel, label_motions
@@ -37,12 +38,40 @@ class LabelledStream:
 
 
 @dataclass(slots=True)
-class _Postures:
-    """Times and postures of a stream."""
+class StreamPostures:
+    """Times and postures of a stream.
+
+    Attributes:
+        hand: the hand.
+        t: times of the states on the server's clock, s.
+        q: (n,) joint positions of each, rad.
+    """
 
     hand: Hand
     t: list[float] = field(default_factory=list)
     q: list[list[float]] = field(default_factory=list)
+
+    def array(self) -> Array:
+        """Return the postures as an array (T, n), rad."""
+        return np.reshape(np.array(self.q, dtype=np.float64), (len(self.t), self.hand.n))
+
+
+def recorded_postures(recording: ServerRecording, hands: Mapping[str, Hand]) -> dict[str, StreamPostures]:
+    """Return the postures in all streams of a recording, by the id of the stream.
+
+    Args:
+        recording: the recording.
+        hands: its hands by name.
+    """
+    streams: dict[str, StreamPostures] = {}
+    for exchange in recording.exchanges():
+        if not exchange.ok:
+            continue
+        if exchange.kind != STATE and exchange.key.startswith(_STREAMS):
+            _open(exchange, hands, streams)
+        elif exchange.kind == STATE and exchange.key in streams:
+            _add(exchange, streams[exchange.key])
+    return streams
 
 
 def label_recording(
@@ -57,25 +86,17 @@ def label_recording(
         hands: its hands by name.
         settings: parameters of the segmentation, as in `label_motions`.
     """
-    streams: dict[str, _Postures] = {}
-    for exchange in recording.exchanges():
-        if not exchange.ok:
-            continue
-        if exchange.kind != STATE and exchange.key.startswith(_STREAMS):
-            _open(exchange, hands, streams)
-        elif exchange.kind == STATE and exchange.key in streams:
-            _add(exchange, streams[exchange.key])
     found = {}
-    for id, each in streams.items():
+    for id, each in recorded_postures(recording, hands).items():
         try:
-            labels = label_motions(each.hand, each.t, np.reshape(each.q, (len(each.t), each.hand.n)), settings=settings)
+            labels = label_motions(each.hand, each.t, each.array(), settings=settings)
         except InvalidInput:
             continue  # too short
         found[id] = LabelledStream(each.hand.name, each.t[0], labels)
     return found
 
 
-def _open(exchange: Exchange, hands: Mapping[str, Hand], streams: dict[str, _Postures]) -> None:
+def _open(exchange: Exchange, hands: Mapping[str, Hand], streams: dict[str, StreamPostures]) -> None:
     """Begin the postures of a stream that is opened."""
     reply = protocol.decode(exchange.reply, exchange.reply_encoding)
     if not isinstance(reply, dict) or "opened" not in reply:
@@ -83,10 +104,10 @@ def _open(exchange: Exchange, hands: Mapping[str, Hand], streams: dict[str, _Pos
     _, record = protocol.Envelope.split(protocol.decode(exchange.payload, protocol.select_codec(exchange.encoding)))
     id, setup = exchange.key.removeprefix(_STREAMS), read_setup(hands, record)
     if id not in streams or streams[id].hand.n != setup.hand.n:
-        streams[id] = _Postures(setup.hand)
+        streams[id] = StreamPostures(setup.hand)
 
 
-def _add(exchange: Exchange, stream: _Postures) -> None:
+def _add(exchange: Exchange, stream: StreamPostures) -> None:
     """Append the posture of a state."""
     record = to_lists(protocol.decode(exchange.payload, protocol.select_codec(exchange.encoding)))
     for name in _MEASURED:

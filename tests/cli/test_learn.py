@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image as PillowImage
 from support.control_requests import GRASP, HAND
+from support.gloves import calibration_of, operator_frames
 from support.servers import ANY_LOCAL_PORT
 
 from graspforce.cli import main
@@ -67,6 +68,15 @@ def test_impossible_synergies_are_refused(words, message, library, capsys):
     assert message in capsys.readouterr().err
 
 
+def test_frames_of_a_glove_become_a_library(tmp_path):
+    calibration_of(HAND).save(tmp_path / "glove.json")
+    ends = np.array([HAND.neutral, HAND.neutral + 0.2 * (HAND.q_upper - HAND.neutral)])
+    np.savetxt(tmp_path / "frames.csv", operator_frames(HAND, np.repeat(ends, 30, axis=0), noise=0.0), delimiter=",")
+    files = [str(tmp_path / name) for name in ("frames.csv", "postures.csv")]
+    assert main(["learn", "collect", *files, "--calibration", str(tmp_path / "glove.json"), "--glove-rate", "30"]) == 0
+    np.testing.assert_allclose(PostureLibrary.load(files[1]).q, ends, atol=np.radians(1.0))
+
+
 def test_a_simulated_run_is_labelled(tmp_path, capsys):
     run = str(tmp_path / "run.npz")
     command = ["simulate", "--hand", HAND.name, "--fingers", ",".join(GRASP.fingers), "--reference", "still"]
@@ -77,6 +87,9 @@ def test_a_simulated_run_is_labelled(tmp_path, capsys):
     labels = load_labels(tmp_path / "labels.csv")
     assert {each.finger for each in labels} == {finger.name for finger in HAND.fingers}
     assert {each.text for each in labels} == {"rest"}
+    assert main(["learn", "collect", run, str(tmp_path / "run.csv")]) == 0
+    library = PostureLibrary.load(tmp_path / "run.csv")
+    assert (library.joints, len(library)) == (HAND.joint_names, 1)  # the hand rests
     assert main(["learn", "label", run, "--record", str(tmp_path / "out.mcap")]) == 1
     assert "--record" in capsys.readouterr().err
 
@@ -110,6 +123,7 @@ def test_a_recording_of_a_server_gets_labels(tmp_path, capsys):
             q = np.array(HAND.neutral)
             q[list(first.joints)[1:]] += 0.3 * np.clip(3.0 * k / STEPS - 1.0, 0.0, 1.0)
             stream.step(JointMotion(q), JointMotion(q), wait=10.0)
+    server._recorder.wait()
     with_steady_times(raw, day)
     assert main(["learn", "label", str(day), "--record", str(labelled), "--json"]) == 0
     (labels,) = json.loads(capsys.readouterr().out)["streams"].values()
@@ -121,6 +135,11 @@ def test_a_recording_of_a_server_gets_labels(tmp_path, capsys):
     written = [json.loads(message.data) for _, channel, message in every if channel.topic == topic]
     assert [each["finger"] for each in written] == [each["finger"] for each in labels]
     assert main(["replay", str(labelled)]) == 0
+    assert main(["learn", "collect", str(day), str(tmp_path / "day.csv"), "--every", "0.1"]) == 0
+    bent = PostureLibrary.load(tmp_path / "day.csv").q[:, list(first.joints)[-1]] - HAND.neutral[list(first.joints)[-1]]
+    assert 5 < len(bent) < STEPS / RATE / 0.1  # without the rests
+    assert (np.diff(bent) > 0.02).all()
+    assert bent[-1] == pytest.approx(0.3, abs=0.03)
     capsys.readouterr()
     assert main(["learn", "label", str(day), "--record", str(day), "--force"]) == 1
     assert "another file" in capsys.readouterr().err

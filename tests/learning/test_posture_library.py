@@ -102,3 +102,13 @@ def test_invalid_records_are_refused():
             PostureLibrary(*arguments)
     with pytest.raises(InvalidInput, match=r"\.csv or \.parquet"):
         library().save("postures.txt")
+
+
+def test_a_motion_gives_postures_without_repetitions_at_rest():
+    t = np.linspace(0.0, 3.0, 3001)
+    q = np.clip(t - 1.0, 0.0, 1.0)[:, None] * [1.0, 0.5]  # rest, motion from 1 s to 2 s, rest
+    library = PostureLibrary.from_motion(("a", "b"), t, q, every=0.1)
+    np.testing.assert_allclose(library.q[:, 0], [0.0, *np.arange(0.021, 1.0, 0.1), 1.0], atol=2e-3)
+    for change in ({"every": 0.0}, {"least_change": -1.0}, {"t": t[:-1]}):
+        with pytest.raises(InvalidInput):
+            PostureLibrary.from_motion(**{"joints": ("a", "b"), "t": t, "q": q, **change})

@@ -1,4 +1,4 @@
-"""``graspforce learn``: synergies of recorded postures, and the motions of fingers in recordings."""
+"""``graspforce learn``: libraries of recorded postures, their synergies, and the motions of fingers in recordings."""
 
 from __future__ import annotations
 
@@ -20,6 +20,44 @@ app.add_typer(learn, name="learn")
 @learn.callback()
 def _learn() -> None:
     """Learn from recorded postures and motions."""
+
+
+@learn.command(epilog="Example: graspforce learn collect day.mcap postures.csv --every 0.5")
+def collect(
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE",
+            help="Recording of `graspforce simulate` (.npz) or `graspforce serve` (.mcap), or frames of a glove.",
+        ),
+    ],
+    target: Annotated[Path, typer.Argument(metavar="TARGET", help="File of the library, .csv or .parquet.")],
+    every: Annotated[float, typer.Option(metavar="S", help="Least time between two postures, s.")] = 0.1,
+    calibration: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Calibration of the glove whose frames FILE has.")
+    ] = None,
+    glove_rate: Annotated[float, typer.Option(metavar="HZ", help="Frames per second of a file.")] = 60.0,
+    hand: HandsInPlace = None,
+    force: Force = False,
+    as_json: AsJson = False,
+) -> None:
+    """Collect a library of postures from a recording. Postures that repeat the one before are left out."""
+    require_libraries("mujoco")
+    if file.suffix == ".mcap":
+        require_libraries("mcap", "zenoh")
+    from graspforce.cli.json_output import result_console
+    from graspforce.cli.output_files import check_new_file
+    from graspforce.cli.run_collect import from_glove, from_recording, save
+    from graspforce.core import arrays
+
+    check_new_file(target, "TARGET", force)
+    arrays.check_number(every, "--every", above=0.0)
+    arrays.check_number(glove_rate, "--glove-rate", above=0.0)
+    if calibration is None:
+        library = from_recording(file, hand or (), every)
+    else:
+        library = from_glove(file, calibration, glove_rate, every)
+    save(library, target, result_console(as_json))
 
 
 @learn.command(epilog="Example: graspforce learn synergies postures.csv --hand leap_right --video synergies.webp")
