@@ -1,4 +1,4 @@
-"""Strip charts of a view: slip margins, motor torques, position error and the controller's time."""
+"""Strip charts of a view: slip margins, motor torques, errors, speeds, times of the controller, and temperatures."""
 
 from __future__ import annotations
 
@@ -10,6 +10,17 @@ import numpy as np
 
 from graspforce.browser.readings import Readings
 
+MARGINS, TORQUE, ERROR, SPEED, STEP_TIME, TEMPERATURE = "margins", "torque", "error", "speed", "step", "winding"
+"""Names of charts."""
+
+_TITLES = {
+    MARGINS: "slip margin, N",
+    TORQUE: "largest motor torque, % of its limit",
+    ERROR: "position error, mm",
+    SPEED: "speed of the object, mm/s",
+    STEP_TIME: "controller's time, ms",
+    TEMPERATURE: "hottest winding, °C",
+}
 _COLOURS = ("#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7", "#56b4e9")  # Okabe and Ito: safe for colour-blind readers
 _HEIGHT = 120  # pixels
 _LARGEST = 2000  # points of a chart
@@ -77,15 +88,14 @@ class Charts:
         gui: of viser.
         fingers: names of the fingers in contact.
         span: time that the charts show, s.
-        shows_step_time: whether the controller's time is measured.
+        names: the charts, of `MARGINS`, `TORQUE`, `ERROR`, `SPEED`, `STEP_TIME` and `TEMPERATURE`.
     """
 
-    def __init__(self, gui: Any, fingers: Sequence[str], span: float, shows_step_time: bool) -> None:
+    def __init__(self, gui: Any, fingers: Sequence[str], span: float, names: Sequence[str]) -> None:
         with gui.add_folder("Charts"):
-            self._margins = StripChart(gui, "slip margin, N", fingers, span)
-            self._torques = StripChart(gui, "largest motor torque, % of its limit", ["torque"], span)
-            self._error = StripChart(gui, "position error, mm", ["error"], span)
-            self._time = StripChart(gui, "controller's time, ms", ["step"], span) if shows_step_time else None
+            self._charts = {
+                name: StripChart(gui, _TITLES[name], fingers if name == MARGINS else [name], span) for name in names
+            }
 
     def add(self, readings: Readings) -> None:
         """Append the readings of an instant.
@@ -93,17 +103,13 @@ class Charts:
         Args:
             readings: the numbers.
         """
-        self._margins.add(readings.t, readings.slip_margin.tolist())
-        self._torques.add(readings.t, [100.0 * float(readings.torque_use.max())])
-        self._error.add(readings.t, [readings.position_error])
-        if self._time is not None:
-            self._time.add(readings.t, [readings.step_time])
+        for name, chart in self._charts.items():
+            chart.add(readings.t, _values(name, readings))
 
     def draw(self) -> None:
         """Send the charts to the pages."""
-        for chart in (self._margins, self._torques, self._error, self._time):
-            if chart is not None:
-                chart.draw()
+        for chart in self._charts.values():
+            chart.draw()
 
     def draw_all(self, readings: Sequence[Readings]) -> None:
         """Show the readings of a recording.
@@ -112,6 +118,20 @@ class Charts:
             readings: of each step.
         """
         t = [each.t for each in readings]
-        self._margins.draw_all(t, [each.slip_margin.tolist() for each in readings])
-        self._torques.draw_all(t, [[100.0 * float(each.torque_use.max())] for each in readings])
-        self._error.draw_all(t, [[each.position_error] for each in readings])
+        for name, chart in self._charts.items():
+            chart.draw_all(t, [_values(name, each) for each in readings])
+
+
+def _values(name: str, readings: Readings) -> list[float]:
+    """Return the numbers of a chart at an instant."""
+    if name == MARGINS:
+        return [float(x) for x in readings.slip_margin]
+    if name == TORQUE:
+        return [100.0 * float(readings.torque_use.max())]
+    number = {
+        ERROR: readings.position_error,
+        SPEED: readings.speed,
+        STEP_TIME: readings.step_time,
+        TEMPERATURE: readings.temperature,
+    }[name]
+    return [number]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from graspforce.browser.browser_scene import BrowserScene, ViewAddress
-from graspforce.browser.charts import Charts
+from graspforce.browser.charts import ERROR, MARGINS, STEP_TIME, TORQUE, Charts
 from graspforce.browser.readings import Readings
 from graspforce.core.arrays import Array, freeze
 from graspforce.simulation.rendering.display_model import DisplayModel
@@ -55,7 +55,7 @@ class LiveView:
             largest = max(_LARGEST_MARGIN, 2.0 * slip_margin)
             with gui.add_folder("Squeeze"):
                 self._margin = gui.add_slider("slip margin, N", min=0.0, max=largest, step=0.05, initial_value=slip_margin)
-        self._charts = Charts(gui, display.scene.grasp.fingers, _SPAN, shows_step_time=True)
+        self._charts = Charts(gui, display.scene.grasp.fingers, _SPAN, (MARGINS, TORQUE, ERROR, STEP_TIME))
         self._last_drawn = -np.inf
 
     @property

@@ -1,4 +1,4 @@
-"""The view of a recording, with a timeline to scrub."""
+"""The view of a recording or a plan, with a timeline to scrub."""
 
 from __future__ import annotations
 
@@ -10,42 +10,42 @@ import numpy as np
 
 from graspforce.browser.browser_scene import BrowserScene, ViewAddress
 from graspforce.browser.charts import Charts
-from graspforce.browser.readings import Readings
-from graspforce.learning.actions.labels import labels_at
+from graspforce.browser.footage import planned_footage, recorded_footage
+from graspforce.planning.plan import Plan
 from graspforce.simulation.plants.scene import Scene
 from graspforce.simulation.recordings.recording import Recording
 from graspforce.simulation.rendering.display_model import DisplayModel
-from graspforce.simulation.rendering.marks import recorded_state
 
 _RATE = 30.0  # pictures per second
-_SPEEDS = ("0.1 ×", "0.25 ×", "0.5 ×", "1 ×", "2 ×")
+_SPEEDS = ("0.01 ×", "0.1 ×", "0.25 ×", "0.5 ×", "1 ×", "2 ×")
+_SLOW = 1.0  # s: shorter motions begin at the lowest speed
+_STEPS = 1000  # of the timeline
 
 
 class Playback:
-    """A web page that plays a recording.
+    """A web page that plays a recording or a plan.
 
     Args:
-        scene: scene of the recorded grasp.
-        recording: the recording.
+        scene: scene of the grasp, with which the motion begins.
+        source: the recording, or the plan.
         address: where the page is served.
 
     Raises:
         MissingLibrary: viser is not installed.
     """
 
-    def __init__(self, scene: Scene, recording: Recording, address: ViewAddress | None = None) -> None:
-        title = f"{recording.hand}, {recording.t[-1]:.2f} s"
-        self.view = BrowserScene(DisplayModel(scene), title, address)
-        self._scene, self._recording = scene, recording
-        gui, end = self.view.server.gui, float(recording.t[-1])
-        self._status = gui.add_markdown(f"**{title}**")
-        self._timeline: Any = gui.add_slider("time, s", min=0.0, max=end, step=end / 1000.0, initial_value=0.0)
+    def __init__(self, scene: Scene, source: Recording | Plan, address: ViewAddress | None = None) -> None:
+        is_plan = isinstance(source, Plan)
+        self._footage = planned_footage(scene, source) if isinstance(source, Plan) else recorded_footage(scene, source)
+        footage, end = self._footage, float(self._footage.t[-1])
+        self.view = BrowserScene(DisplayModel(scene), footage.title, address)
+        gui = self.view.server.gui
+        self._status = gui.add_markdown(f"**{footage.title}**")
+        self._timeline: Any = gui.add_slider("time, s", min=0.0, max=end, step=end / _STEPS, initial_value=0.0)
         self._play = gui.add_button("Play")
         self._play.on_click(lambda _: self._toggle_play())
-        self._speed = gui.add_dropdown("speed", _SPEEDS, initial_value="1 ×")
-        self._readings = Readings.of_recording(recording)
-        self._labels = recording.motion_labels(scene.grasp.hand)
-        Charts(gui, recording.fingers, end, shows_step_time=False).draw_all(self._readings)
+        self._speed = gui.add_dropdown("speed", _SPEEDS, initial_value=_SPEEDS[0] if is_plan and end < _SLOW else "1 ×")
+        Charts(gui, scene.grasp.fingers, end, footage.charts).draw_all(footage.readings)
         self._is_playing, self._shown, self._is_closed = False, -1, False
         self._lock = threading.Lock()  # the page closes between two updates
         self.update()
@@ -62,18 +62,15 @@ class Playback:
 
     def update(self) -> None:
         """Show the step at the timeline's time, unless it is shown already."""
-        row = int(np.searchsorted(self._recording.t, float(self._timeline.value), side="right")) - 1
+        footage = self._footage
+        row = int(np.searchsorted(footage.t, float(self._timeline.value), side="right")) - 1
         if row == self._shown:
             return
         self._shown = row
-        recording, readings = self._recording, self._readings[row]
-        self.view.show(recorded_state(self._scene, recording, row))
-        self.view.show_desired(recording.p_desired[row], recording.R_desired[row])
-        warnings = [text for t, text in recording.warnings if 0.0 <= readings.t - t < 1.0]
-        warning = f"  \n⚠ {warnings[-1]}" if warnings else ""
-        now = labels_at(self._labels, readings.t)
-        motions = "".join(f"  \n{name}: {label.text}" for name, label in now.items())
-        self._status.content = f"t = {readings.t:.3f} s, position error {readings.position_error:.3f} mm{motions}{warning}"
+        self.view.show(footage.state(row))
+        if footage.desired is not None:
+            self.view.show_desired(*footage.desired(row))
+        self._status.content = footage.status(row)
 
     def run(self, duration: float = np.inf) -> None:
         """Play and follow the timeline until `close`.
@@ -81,7 +78,7 @@ class Playback:
         Args:
             duration: time after which this ends, s.
         """
-        end, last = float(self._recording.t[-1]), time.monotonic()
+        end, last = float(self._footage.t[-1]), time.monotonic()
         start = last
         while time.monotonic() - start < duration:
             now = time.monotonic()

@@ -21,10 +21,12 @@ class Readings:
         t: time, s.
         slip_margin: (N,) slip margin of each contact, N.
         torque_use: (n,) torque of each motor over its limit in the same direction; 0 for a motor without limit.
-        position_error: distance of the object from its desired position, mm.
+        position_error: distance of the object from its desired position, mm; NaN in a plan.
         step_time: time that the controller took for its last step, ms; NaN if it was not measured.
         warnings: warnings of the controller.
         motions: name of the present motion of each finger; empty if it is not known.
+        speed: of the object, mm/s; NaN if it was not measured.
+        temperature: of the hottest winding, °C; NaN without thermal data.
     """
 
     t: float
@@ -33,6 +35,8 @@ class Readings:
     position_error: float
     step_time: float = np.nan
     warnings: tuple[str, ...] = ()
+    speed: float = np.nan
+    temperature: float = np.nan
     motions: Mapping[str, str] = field(default_factory=dict)
 
     @property

@@ -37,7 +37,7 @@ from graspforce.planning.plan_files import FILE_SUFFIXES
 from graspforce.planning.progress import CHECK, EQUATIONS, JOINT_PATH, PATH, SEARCH
 from graspforce.service import Client
 
-_METHODS = ("path", "free")
+_METHODS, _VIEWS = ("path", "free"), ("browser",)
 _STAGES = {
     JOINT_PATH: "Computing the joint path",
     PATH: "Optimising along the path",
@@ -146,8 +146,11 @@ class PlanOutput:
     frames: Path | None = None
     force: bool = True
     film: FilmFormat = field(default_factory=FilmFormat)
+    view: str | None = None
 
     def __post_init__(self) -> None:
+        if self.view is not None:
+            fields.check_choice(self.view, "--view", _VIEWS)
         for path, option in ((self.video, "--video"), (self.frames, "--frames")):
             if path is not None and not self.execute:
                 raise InvalidInput(option, str(path), "given with --execute only")
@@ -231,6 +234,8 @@ def run(options: PlanOptions, output: PlanOutput, console: Console, connect: str
     _save(plan, output, console)
     if not output.execute:
         put_result(console, result)
+        if output.view is not None:
+            _show_in_browser(plan, grasp, settings, console)
         return SUCCESS
     if isinstance(pace, PlanFailure):
         return _print_failure(pace, console)
@@ -239,6 +244,8 @@ def run(options: PlanOptions, output: PlanOutput, console: Console, connect: str
     files = RunFiles(output.video, output.frames, output.plots, film=output.film)
     is_executed = execute(pace, grasp, settings, files, console)
     put_result(console, {**result, "is_executed": is_executed})
+    if output.view is not None:
+        _show_in_browser(plan, grasp, settings, console)
     return SUCCESS if is_executed else ERROR
 
 
@@ -261,8 +268,9 @@ def run_fingers(
         InvalidInput: options that are not allowed, such as an execution.
         ServiceError: no service, or it does not serve the hand.
     """
-    if output.execute:
-        raise InvalidInput("--execute", True, "a move of an object, without --fingertips")
+    for option, value in (("--execute", output.execute or None), ("--view", output.view)):
+        if value is not None:
+            raise InvalidInput(option, value, "a move of an object, without --fingertips")
     arrays.check_number(budget, "budget", minimum=0.0)
     plan = _make_plan(options.move(), budget, connect, console)
     if isinstance(plan, PlanFailure):
@@ -272,6 +280,14 @@ def run_fingers(
     checked = {"excess_between_knots": plan.check.excess, "stopped": plan.stopped, "seconds": plan.statistics.seconds}
     put_result(console, {"hand": options.hand, "duration": plan.duration, **checked})
     return SUCCESS
+
+
+def _show_in_browser(plan: Plan, grasp: Grasp, settings: ControlSettings, console: Console) -> None:
+    """Show a plan in a web browser until Ctrl-C."""
+    from graspforce.cli.run_view import show
+    from graspforce.simulation import build_scene
+
+    show(build_scene(grasp, gravity_H=settings.gravity_H), plan, console)
 
 
 def _save(plan: Plan, output: PlanOutput, console: Console) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -14,11 +14,10 @@ from rich.text import Text
 
 from graspforce.cli.interruption import Interruption
 from graspforce.cli.json_output import put_result
+from graspforce.cli.running_streams import choose_stream, is_stream_open, load_named
 from graspforce.cli.tables import make_table
-from graspforce.core.errors import ErrorReply, InvalidInput
 from graspforce.core.printable import escape_controls
 from graspforce.estimation.twin import TwinReading, TwinSettings
-from graspforce.hand.hand import Hand
 from graspforce.service import Client
 from graspforce.service.recording.recording_reader import ServerRecording
 from graspforce.service.replay.replay import load_hands
@@ -117,54 +116,6 @@ def run_live(service: WatchedService, hands: Sequence[str], settings: TwinSettin
     _show(id, stream, console)
     put_result(console, {"streams": {monitor.id: stream.to_dict()}})
     return stream.first_drift is None
-
-
-def load_named(files: Sequence[str], name: str) -> Mapping[str, Hand]:
-    """Return the hand of a stream by its name.
-
-    Args:
-        files: names or description files of hands.
-        name: its name; a shipped hand if it is not among the files.
-
-    Raises:
-        UnknownName: a hand is not found: give its description file.
-        ModelError: a hand cannot be read.
-    """
-    given = {hand.name: hand for hand in map(Hand.load, files)}
-    return given if name in given else {name: Hand.load(name)}
-
-
-def choose_stream(client: Client, id: str | None) -> str:
-    """Return the id of the stream to follow.
-
-    Args:
-        client: the client of the service.
-        id: the wanted id; None for the only open stream.
-
-    Raises:
-        InvalidInput: no stream is open, or several are and none is named.
-    """
-    if id is not None:
-        return id
-    found = [each.id for each in client.status().active_streams]
-    if len(found) != 1:
-        allowed = f"one of the open streams: {', '.join(found)}" if found else "the id of an open stream; none is open"
-        raise InvalidInput("--stream", None, allowed)
-    return found[0]
-
-
-def is_stream_open(client: Client, id: str) -> bool:
-    """Return whether a stream is open.
-
-    Args:
-        client: the client of the service.
-        id: id of the stream.
-    """
-    try:
-        client.monitor_stream(id).close()
-    except ErrorReply:
-        return False
-    return True
 
 
 def _show(id: str, stream: WatchedStream, console: Console) -> None:

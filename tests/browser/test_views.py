@@ -18,11 +18,22 @@ from graspforce import InvalidInput, ObjectController
 from graspforce.browser import LiveView, Playback, Readings, ViewAddress
 from graspforce.browser.readings import torque_use
 from graspforce.browser.steering import SteeredController, SteeredReference, left_jacobian
-from graspforce.cli import run_view
+from graspforce.cli import run_stream_view, run_view
 from graspforce.cli.live_view import LiveRun
 from graspforce.contact.motion import BodyMotion
+from graspforce.control import ControlSettings
 from graspforce.geometry.rotations import rotation_exp
-from graspforce.simulation import Plant, Recording, build_scene, constant_reference, linear_reference, simulate
+from graspforce.planning import PathMove, Plan, tracking
+from graspforce.service import Client, Server
+from graspforce.simulation import (
+    Plant,
+    Recording,
+    build_scene,
+    constant_reference,
+    linear_reference,
+    simulate,
+    sine_reference,
+)
 from graspforce.simulation.rendering import DisplayModel, capture_state
 from graspforce.simulation.rendering.marks import recorded_state
 from graspforce.simulation.rendering.part_meshes import part_meshes
@@ -160,7 +171,7 @@ def test_the_squeeze_follows_the_slider_without_a_step_of_the_torques() -> None:
 @needs_chromium
 def test_a_recording_is_shown_scrubbed_and_played(recording: Recording) -> None:
     playback = Playback(SCENE, recording, ViewAddress(port=8431))
-    thread = threading.Thread(target=playback.run, args=(40.0,), daemon=True)
+    thread = threading.Thread(target=playback.run, args=(600.0,), daemon=True)
     thread.start()
     browser = HeadlessBrowser(playback.url, 1000, 800)
     try:
@@ -251,6 +262,78 @@ def test_a_running_simulation_shows_the_motions_of_the_fingers() -> None:
         assert shown[-1].motion_text.count("rest") == len(GRASP.fingers) - 1
     finally:
         view.close()
+
+
+@needs_chromium
+def test_a_plan_is_shown_scrubbed_and_played_slowly() -> None:
+    task = dataclasses.replace(tracking.object_task(GRASP, SETTINGS), collisions=None)
+    p_HO, R_HO = GRASP.p_HO + np.array([[0.0, 0.0, 0.0], [0.0, 0.005, 0.004]]), np.array([GRASP.R_HO] * 2)
+    plan = PathMove(task, p_HO, R_HO, "straight", q_start=GRASP.q).plan(budget=30.0)
+    assert isinstance(plan, Plan)
+    playback = Playback(SCENE, plan, ViewAddress(port=8461))
+    thread = threading.Thread(target=playback.run, args=(600.0,), daemon=True)
+    thread.start()
+    browser = HeadlessBrowser(playback.url, 1000, 800)
+    try:
+        browser.wait(lambda: "speed of the object, mm/s" in browser.text())
+        browser.wait(lambda: browser.image()[:, :600].min() < 120)  # the hand is drawn
+        before = browser.image()[:, :600].astype(int)
+        assert browser.number_after("speed") == 0.0
+        playback._timeline.value = 0.5 * plan.duration
+        browser.wait(lambda: browser.number_after("t =") == pytest.approx(0.5 * plan.duration, abs=2e-3))
+        assert browser.number_after("speed") > 10.0  # mm/s
+        browser.wait(lambda: (np.abs(browser.image()[:, :600] - before).max(axis=2) > 20).sum() > 200)  # the ball moved
+        browser.click("Play")
+        browser.wait(lambda: "Hold" in browser.text())
+    finally:
+        browser.close()
+        playback.close()
+
+
+@needs_chromium
+def test_a_running_stream_is_shown_paused_and_gone_back_through() -> None:
+    """A driver in one thread and the view in another; the view reads the stream as a monitor."""
+    url, ended = [], threading.Event()
+    with Server([GRASP.hand], listen="tcp/127.0.0.1:0") as server, Client(server.addresses[0], timeout=30.0) as client:
+
+        def drive() -> None:
+            settings = ControlSettings(gravity_H=PALM_UP)
+            with client.open_stream(GRASP, settings, validity=30.0) as stream:
+                url.append(stream.id)
+                plant, motion = Plant(SCENE), sine_reference(start_of(GRASP), [0.0, 0.004, 0.0], 1.0)
+                state = plant.reset()
+                while not ended.wait(1e-3):
+                    state = plant.step(stream.step(state, motion(plant.t), wait=30.0).tau)
+
+        driver = threading.Thread(target=drive, daemon=True)
+        driver.start()
+        HeadlessBrowser.wait(lambda: url)
+        options = run_stream_view.StreamViewOptions(server.addresses[0], url[0], (), ViewAddress(port=8471))
+        text = io.StringIO()
+        viewer = threading.Thread(target=run_stream_view.run, args=(options, Console(file=text, width=200), 600.0), daemon=True)
+        viewer.start()
+        HeadlessBrowser.wait(lambda: "http://" in text.getvalue())
+        browser = HeadlessBrowser("http://" + text.getvalue().split("http://")[1].split()[0], 1000, 800)
+        try:
+            browser.wait(lambda: "position error" in browser.text())
+            browser.wait(lambda: browser.image()[:, :600].min() < 120)
+            first = browser.number_after("t =")
+            browser.wait(lambda: browser.number_after("t =") > first + 0.5)
+            browser.click("Pause")
+            browser.wait(lambda: "Follow" in browser.text())
+            browser.wait(lambda: browser.number_after("t =") == browser.number_after("t ="))
+            held = browser.number_after("t =")
+            browser.set_number("back, s", 0.4)
+            browser.wait(lambda: held - 0.9 < browser.number_after("t =") < held - 0.2)
+            browser.click("Follow")
+            browser.wait(lambda: browser.number_after("t =") > held)
+        finally:
+            browser.close()
+            ended.set()
+            driver.join(120.0)
+            viewer.join(120.0)  # it ends with the stream
+    assert not driver.is_alive()
+    assert not viewer.is_alive()
 
 
 def test_the_command_shows_a_recording_with_its_grasp_only(recording: Recording, tmp_path) -> None:

@@ -18,7 +18,7 @@ from PIL import Image
 
 CHROMIUM = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None)
 _FLAGS = ("--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--hide-scrollbars")
-_PATIENCE = 60.0  # s
+_PATIENCE = 120.0  # s
 
 
 class HeadlessBrowser:
@@ -69,6 +69,18 @@ class HeadlessBrowser:
         find = f"[...document.querySelectorAll('button')].find(b => b.innerText.trim() === {json.dumps(words)})"
         self.wait(lambda: self.evaluate(f"!!{find}"))
         self.evaluate(f"{find}.click()")
+
+    def set_number(self, label: str, value: float) -> None:
+        """Type a number into the field beside the slider with this label."""
+        row = f"[...document.querySelectorAll('label')].find(l => l.innerText.trim() === {json.dumps(label)})"
+        find = f"""(() => {{ let e = {row};
+            while (e && !e.querySelector("input[inputmode], input[type=text]")) e = e.parentElement;
+            return e && e.querySelector("input[inputmode], input[type=text]"); }})()"""
+        self.wait(lambda: self.evaluate(f"!!{find}"))
+        self.evaluate(f"{find}.focus()")
+        self.evaluate(f"{find}.select()")
+        self.call("Input.insertText", text=str(value))
+        self.evaluate(f"{find}.blur()")
 
     def image(self) -> np.ndarray:
         """Return a screenshot, (height, width, 3)."""

@@ -84,6 +84,9 @@ def plan(
         Path | None, typer.Option(metavar="FILE", help="Write a film of the execution: .mp4, .gif or .webp (needs no display).")
     ] = None,
     frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the frames of the film as PNG.")] = None,
+    view: Annotated[
+        str | None, typer.Option(metavar="KIND", help="Show the plan until Ctrl-C: browser (a web page with a timeline).")
+    ] = None,
     film_size: FilmSize = None,
     fps: FilmRate = None,
     film_camera: FilmCamera = None,
@@ -101,7 +104,8 @@ def plan(
     Exit code 0: a plan was found, and executed without slip if --execute was given. 3: the move is infeasible. 1: an error, no
     verdict, or an executed move that slipped or missed its goal.
     """
-    require_libraries(*(("mujoco",) if execute else ()), "casadi")
+    simulated = ("mujoco",) if execute or view is not None else ()
+    require_libraries(*simulated, *(("viser",) if view is not None else ()), "casadi")
 
     from graspforce.cli import run_plan
     from graspforce.cli.film_format import parse_film_format
@@ -110,7 +114,8 @@ def plan(
     from graspforce.cli.run_finger_plan import FingerPlanOptions, parse_tips
 
     film = parse_film_format(film_size, fps, film_camera)
-    output = run_plan.PlanOutput(save=save, plots=plots, execute=execute, video=video, frames=frames, force=force, film=film)
+    files = {"save": save, "plots": plots, "video": video, "frames": frames}
+    output = run_plan.PlanOutput(**files, execute=execute, force=force, film=film, view=view)
     limits, obstacles = run_plan.parse_limits(acceleration, joint_acceleration, jerk, joint_jerk), tuple(obstacle or [])
     if tips:
         places = tuple(parse_tips(text) for text in tips)

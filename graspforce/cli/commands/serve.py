@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -87,6 +87,10 @@ def serve(
         Path | None,
         typer.Option(metavar="FILE", help="Record requests, states and replies as .mcap, for `graspforce replay`."),
     ] = None,
+    view: Annotated[
+        str | None,
+        typer.Option(metavar="KIND", help="Show the streams beside the server: browser (a web page, in a process of its own)."),
+    ] = None,
     force: Force = False,
     print_config: Annotated[
         bool, typer.Option("--print-config", help="Print the Zenoh configuration with all defaults, and stop.")
@@ -110,6 +114,8 @@ def serve(
     configure_logging(log_level, log_format)
     hands = hand or []
     attach = None if ros2 is None else _ros2_node(ros2, grasp, ros2_setting or (), hands, insecure)
+    if view is not None:
+        attach = _with_view(view, attach, hands, secure)
 
     def ready(server: Server) -> None:
         if as_json:
@@ -136,6 +142,32 @@ def serve(
     run_server(
         server, ServeOptions(on_ready=ready, metrics=metrics, attach=attach, watch=hands if watch else (), end_process=True)
     )
+
+
+def _with_view(
+    view: str, attach: Callable[[Server], AbstractContextManager[object]] | None, hands: Sequence[str], secure: Path | None
+) -> Callable[[Server], AbstractContextManager[object]]:
+    """Return the function that opens the view of a server's streams, and another context, beside it.
+
+    Raises:
+        InvalidInput: another kind of view.
+        MissingLibrary: a library of the view is not installed.
+    """
+    from graspforce.cli.view_process import view_process
+    from graspforce.core import fields
+    from graspforce.core.optional_libraries import require_libraries
+
+    fields.check_choice(view, "--view", ("browser",))
+    require_libraries("mujoco", "viser")
+
+    def attach_both(server: Server) -> AbstractContextManager[object]:
+        opened = ExitStack()
+        opened.enter_context(view_process(server.addresses[0], hands, secure))
+        if attach is not None:
+            opened.enter_context(attach(server))
+        return opened
+
+    return attach_both
 
 
 def _ros2_node(

@@ -114,14 +114,26 @@ def recorded_state(scene: Scene, recording: Recording, row: int) -> SceneState:
         recording: the recording.
         row: index of the step.
     """
-    data = mujoco.MjData(scene.model)
-    set_posture(scene, data, recording.q[row], recording.v[row])
-    mujoco.mju_mat2Quat(quaternion := np.empty(4), recording.R_HO[row].ravel())
-    data.qpos[scene.object_q_address : scene.object_q_address + 7] = [*recording.p_HO[row], *quaternion]
     contacts = RecordedContacts(*(getattr(recording, name)[row] for name in ("touching", "f", "p_OC", "R_OC", "mu", "gamma")))
     motion = BodyMotion(recording.p_HO[row], recording.R_HO[row])
-    marks = contact_marks(scene, contacts, motion)
-    return SceneState(float(recording.t[row]), freeze(data.qpos), marks, None, freeze(data.mocap_pos))
+    return scene_state(scene, float(recording.t[row]), recording.q[row], motion, contacts)
+
+
+def scene_state(scene: Scene, t: float, q: Array, motion: BodyMotion, contacts: MarkedContacts) -> SceneState:
+    """Return the state of a scene without pushes, with its floor where it is at the start.
+
+    Args:
+        scene: the scene.
+        t: time, s.
+        q: (n,) joint positions, rad.
+        motion: pose of the object.
+        contacts: forces, places and friction of the contacts.
+    """
+    data = mujoco.MjData(scene.model)
+    set_posture(scene, data, q, np.zeros(len(q)))
+    mujoco.mju_mat2Quat(quaternion := np.empty(4), motion.R_HO.ravel())
+    data.qpos[scene.object_q_address : scene.object_q_address + 7] = [*motion.p_HO, *quaternion]
+    return SceneState(t, freeze(data.qpos), contact_marks(scene, contacts, motion), None, freeze(data.mocap_pos))
 
 
 def posture_state(scene: Scene, t: float, q: Array) -> SceneState:

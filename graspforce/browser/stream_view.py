@@ -1,0 +1,109 @@
+"""The view of a running stream: it follows the stream, pauses, and goes back through the last minute."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from typing import Any
+
+import numpy as np
+
+from graspforce.browser.browser_scene import BrowserScene, ViewAddress
+from graspforce.browser.charts import ERROR, MARGINS, STEP_TIME, TEMPERATURE, TORQUE, Charts
+from graspforce.browser.readings import Readings
+from graspforce.core.arrays import Array
+from graspforce.simulation.rendering.display_model import DisplayModel
+from graspforce.simulation.rendering.marks import SceneState
+
+_CHART_PERIOD = 0.2  # s between two drawings of the charts
+_SPAN = 10.0  # s that the charts show
+_HISTORY = 60.0  # s to go back through
+_KEPT = 1800  # states of the history
+
+
+class StreamView:
+    """A web page that shows a running stream, and steers nothing.
+
+    Args:
+        display: the model to show.
+        title: heading of the panel.
+        has_heat: whether the hand's drives have thermal data.
+        address: where the page is served.
+
+    Raises:
+        MissingLibrary: viser is not installed.
+    """
+
+    def __init__(self, display: DisplayModel, title: str, has_heat: bool, address: ViewAddress | None = None) -> None:
+        self.scene = BrowserScene(display, title, address)
+        gui = self.scene.server.gui
+        self._title = title
+        self._status = gui.add_markdown(f"**{title}**  \nwaiting for states")
+        self._pause = gui.add_button("Pause")
+        self._pause.on_click(lambda _: self._toggle_pause())
+        self._back: Any = gui.add_slider("back, s", min=0.0, max=_HISTORY, step=0.05, initial_value=0.0)
+        self._back.disabled = True
+        names = (MARGINS, TORQUE, ERROR, STEP_TIME, *((TEMPERATURE,) if has_heat else ()))
+        self._charts = Charts(gui, display.scene.grasp.fingers, _SPAN, names)
+        self._history: deque[tuple[SceneState, tuple[Array, Array], Readings]] = deque(maxlen=_KEPT)
+        self._is_paused, self._last_drawn, self._shown = False, -np.inf, -1
+
+    @property
+    def url(self) -> str:
+        """Address of the page."""
+        return self.scene.url
+
+    def show(self, state: SceneState, desired: tuple[Array, Array], readings: Readings) -> None:
+        """Show a state and its numbers; while the page is paused, nothing is kept.
+
+        Args:
+            state: the state.
+            desired: (3,) desired position, m, and (3, 3) orientation of the object in H.
+            readings: the numbers.
+        """
+        if self._is_paused:
+            return
+        if self._history and state.t <= self._history[-1][0].t:  # the driver has started again
+            self._history.clear()
+        self._history.append((state, desired, readings))
+        self._charts.add(readings)
+        self._draw(-1)
+        if time.monotonic() - self._last_drawn >= _CHART_PERIOD:
+            self._last_drawn = time.monotonic()
+            self._charts.draw()
+
+    def update(self) -> None:
+        """While the page is paused, show the state at the slider's time."""
+        if not self._is_paused or not self._history:
+            return
+        wanted = self._history[-1][0].t - float(self._back.value)
+        row = max(int(np.searchsorted([each[0].t for each in self._history], wanted, side="right")) - 1, 0)
+        if row != self._shown:
+            self._shown = row
+            self._draw(row)
+
+    def note(self, text: str) -> None:
+        """Show a text in place of the numbers.
+
+        Args:
+            text: the text.
+        """
+        self._status.content = f"**{self._title}**  \n{text}"
+
+    def close(self) -> None:
+        """Close the page."""
+        self.scene.close()
+
+    def _draw(self, row: int) -> None:
+        """Show a row of the history."""
+        state, desired, readings = self._history[row]
+        self.scene.show(state)
+        self.scene.show_desired(*desired)
+        warning = f"  \n⚠ {readings.warnings[0]}" if readings.warnings else ""
+        self._status.content = f"t = {readings.t:.2f} s, position error {readings.position_error:.3f} mm{warning}"
+
+    def _toggle_pause(self) -> None:
+        """Pause the picture, or follow the stream again."""
+        self._is_paused = not self._is_paused
+        self._pause.label = "Follow" if self._is_paused else "Pause"
+        self._back.value, self._back.disabled, self._shown = 0.0, not self._is_paused, -1
