@@ -24,9 +24,9 @@ class Readings:
         position_error: distance of the object from its desired position, mm; NaN in a plan.
         step_time: time that the controller took for its last step, ms; NaN if it was not measured.
         warnings: warnings of the controller.
-        motions: name of the present motion of each finger; empty if it is not known.
         speed: of the object, mm/s; NaN if it was not measured.
         temperature: of the hottest winding, °C; NaN without thermal data.
+        motions: name of the present motion of each finger; empty if it is not known.
     """
 
     t: float
