@@ -2,11 +2,13 @@
 
 `graspforce.solve_many` labels the problems of the library, repeated, from one Parquet file to a folder of Parquet files, with
 one worker and with two workers of one thread each. Then one of two workers is killed when half of the parts are written.
-*Whole*: every row is there once. Times include the import of the package by new workers.
+*Whole*: every row is there once. *CPU*: processor time of the workers per row, which other programs on the machine change less
+than the rate. Workers import the package before the clock starts.
 """
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import tempfile
@@ -16,6 +18,7 @@ from contextlib import ExitStack, contextmanager
 from itertools import islice
 from pathlib import Path
 
+import psutil
 import pyarrow
 import pyarrow.parquet
 from distributed import Client
@@ -24,9 +27,10 @@ import graspforce as gf
 from benchmarks import report_page
 from benchmarks.dask_processes import scheduler, worker
 from graspforce import problems
+from graspforce.analysis import solve_many as labelled
 from graspforce.analysis.solve_many import LabelledParts
 
-HEAD = ("workers", "rows", "parts", "time, s", "rows/s", "ratio", "whole")
+HEAD = ("workers", "rows", "parts", "time, s", "rows/s", "ratio", "CPU, ms/row", "whole")
 ROWS_PER_PART, MOST_CONTACTS = 500, 10
 
 
@@ -39,13 +43,15 @@ def write_source(path: Path, rows: int) -> None:
     """
     cases = (problems.load(name).problem for name in problems.names("ist"))
     texts = [json.dumps(one.to_dict()) for one in islice(cases, 400) if len(one.contacts) <= MOST_CONTACTS]
-    repeated = [texts[i % len(texts)] for i in range(rows)]
-    pyarrow.parquet.write_table(pyarrow.table({"problem": repeated}), path, row_group_size=ROWS_PER_PART)
+    with pyarrow.parquet.ParquetWriter(path, pyarrow.schema([("problem", pyarrow.string())])) as file:
+        for first in range(0, rows, ROWS_PER_PART):
+            repeated = [texts[i % len(texts)] for i in range(first, min(first + ROWS_PER_PART, rows))]
+            file.write_table(pyarrow.table({"problem": repeated}), row_group_size=ROWS_PER_PART)
 
 
 @contextmanager
 def cluster(folder: Path, count: int) -> Iterator[tuple[str, list[int]]]:
-    """Run a scheduler and workers; yield the address and the numbers of the workers' processes.
+    """Run a scheduler and workers that have imported the package; yield the address and the numbers of their processes.
 
     Args:
         folder: folder for the scheduler's file.
@@ -56,11 +62,12 @@ def cluster(folder: Path, count: int) -> Iterator[tuple[str, list[int]]]:
         processes = [stack.enter_context(worker(address, f"worker {i}")) for i in range(count)]
         with Client(address, set_as_default=False) as client:
             client.wait_for_workers(count, timeout=300)
+            client.run(importlib.import_module, labelled.__name__)
         yield address, [process.pid for process in processes]
 
 
-def label(source: Path, workers: int, killed: bool = False) -> tuple[LabelledParts, float, bool]:
-    """Return the parts, the time in s, and whether every row is there once.
+def label(source: Path, workers: int, killed: bool = False) -> tuple[LabelledParts, float, float, bool]:
+    """Return the parts, the time and the processor time of the workers, both in s, and whether every row is there once.
 
     Args:
         source: the Parquet file.
@@ -68,17 +75,31 @@ def label(source: Path, workers: int, killed: bool = False) -> tuple[LabelledPar
         killed: whether one worker is killed when half of the parts are written.
     """
     with tempfile.TemporaryDirectory() as folder, cluster(Path(folder), workers) as (address, numbers):
+        used = -sum(map(processor_time, numbers))
 
         def kill(done: int, of: int) -> None:
-            if killed and numbers and done == of // 2:
+            nonlocal used
+            if killed and len(numbers) == workers and done == of // 2:
+                used += processor_time(numbers[-1])
                 os.kill(numbers.pop(), 9)
 
         begin = time.perf_counter()
         parts = gf.solve_many(source, Path(folder) / "out", cluster=address, rows_per_part=ROWS_PER_PART, progress=kill)
         elapsed = time.perf_counter() - begin
+        used += sum(map(processor_time, numbers))
         files = sorted(parts.folder.glob("part-*"))
         rows = [row for file in files for row in pyarrow.parquet.read_table(file, columns=["row"]).column("row").to_pylist()]
-        return parts, elapsed, rows == list(range(parts.rows))
+        return parts, elapsed, used, rows == list(range(parts.rows))
+
+
+def processor_time(process: int) -> float:
+    """Return the processor time of a process, s.
+
+    Args:
+        process: its number.
+    """
+    times = psutil.Process(process).cpu_times()
+    return float(times.user + times.system)
 
 
 def main() -> None:
@@ -91,11 +112,17 @@ def main() -> None:
         source = Path(folder) / "source.parquet"
         write_source(source, options.rows)
         for workers, killed in ((1, False), (2, False), (2, True)):
-            parts, elapsed, whole = label(source, workers, killed)
+            parts, elapsed, used, whole = label(source, workers, killed)
             rate = parts.rows / elapsed
             first = first or rate
             name = f"{workers}, one killed at half" if killed else str(workers)
-            numbers = (f"{elapsed:.1f}", f"{rate:.0f}", f"{rate / first:.2f}", "yes" if whole else "no")
+            numbers = (
+                f"{elapsed:.1f}",
+                f"{rate:.0f}",
+                f"{rate / first:.2f}",
+                f"{1e3 * used / parts.rows:.2f}",
+                "yes" if whole else "no",
+            )
             rows.append((name, str(parts.rows), str(parts.parts), *numbers))
     report_page.show("Labelling", HEAD, rows, width=120)
     if options.save:

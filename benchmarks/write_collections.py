@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import itertools
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,18 +21,21 @@ import numpy as np
 from rich.progress import track
 
 from graspforce import ForceProblem, solve
-from graspforce.bench.adapter import SolverStatus
+from graspforce.bench.adapter import SolverResult, SolverStatus
+from graspforce.bench.case_program import case_program, forces_residual
 from graspforce.bench.registry import load_adapter
-from graspforce.force.certificate import certify, certify_infeasibility
-from graspforce.force.cone_program import conic_program
+from graspforce.force.certificate import TIGHT_TOLERANCE, certify, certify_infeasibility
+from graspforce.force.cone_program import ConicProgram
 from graspforce.force.status import Status
 from graspforce.problems.case import Case, ExpectedInfeasibility
 from graspforce.problems.derivations.records import CLOSED_FORM
 from graspforce.problems.generators.no_interior import find_proof
 from graspforce.problems.json_format import format_case_line
+from graspforce.problems.sequences import format_sequence
 
-GENERATED = ("hard", "infeasible", "ist", "pyramid", "scaling", "soft", "trajectory", "whole-hand")
+GENERATED = ("batch", "hard", "infeasible", "ist", "large", "pyramid", "robust", "scaling", "soft", "trajectory", "whole-hand")
 _SOLVERS = ("structured", "clarabel", "ecos", "qoco", "highs", "piqp", "daqp", "proxqp")  # run in this order until two agree
+_ROBUST_SOLVERS = ("ecos", "qoco", "scs")  # second solvers of uncertain problems
 _TOLERANCE_FACTOR = 3.0  # tolerance of the optimum over the difference of two objectives
 _MAX_TOLERANCE = 1e-4  # largest accepted tolerance of an optimum, relative
 _MAX_CONTACTS = 100  # dense pyramids and epigraphs take minutes above this
@@ -51,9 +55,20 @@ def main() -> None:
         cases = [solve_record(record) for record in track(records, description=f"{collection:12}")]
         path = Path(__file__).parents[1] / "problems" / collection / "cases.jsonl"
         path.parent.mkdir(exist_ok=True)
-        path.write_text("".join(format_case_line(case) + "\n" for case in cases), encoding="utf-8")
+        if collection == "batch":
+            path = path.with_name("sequences.jsonl")
+        path.write_text("".join(line + "\n" for line in _lines(collection, cases)), encoding="utf-8")
         loosest = max((case["expected"]["tolerance"] for case in cases), default=0.0)
         print(f"{collection}: {len(cases)} cases, {path.stat().st_size / 1e6:.2f} MB, loosest tolerance {loosest:.1e}")
+
+
+def _lines(collection: str, cases: list[dict[str, Any]]) -> Iterator[str]:
+    """Yield the lines of a collection's file: one for each case, or one for each batch."""
+    if collection != "batch":
+        yield from map(format_case_line, cases)
+        return
+    for name, own in itertools.groupby(cases, key=lambda case: case["name"].rpartition("-")[0]):
+        yield format_sequence(name, list(own))
 
 
 def solve_record(record: dict[str, Any]) -> dict[str, Any]:
@@ -76,7 +91,7 @@ def solve_record(record: dict[str, Any]) -> dict[str, Any]:
         answers.append((name, residual, objective))
         best = _agreed_optimum(answers)
         if best is not None:
-            y = find_proof(problem, solve(problem, explain=False).f)
+            y = None if problem.uncertainty is not None else find_proof(problem, solve(problem, explain=False).f)
             return {**record, "expected": best if y is None else {**best, "no_interior": y.tolist()}}
     answer = solve(problem, explain=False)
     if answer.status is not Status.INFEASIBLE or answer.infeasibility is None:
@@ -88,21 +103,44 @@ def solve_record(record: dict[str, Any]) -> dict[str, Any]:
 
 def _certified_answers(problem: ForceProblem) -> Iterator[tuple[str, float, float]]:
     """Yield certified solutions, solver by solver: name, residual, objective."""
-    program = conic_program(problem)
+    if problem.uncertainty is not None:
+        yield from _certified_squeezes(problem)
+        return
+    program = case_program(problem)
     for name in _SOLVERS:
         solver = load_adapter(name)
         large = len(problem.contacts) > _MAX_CONTACTS and name not in ("structured", "clarabel", "qoco")
         if large or (program.cones and not solver.EXACT_CONES):
             continue
-        try:
-            bound_solver = solver.bind(program, "high")
-            result = bound_solver.read(bound_solver.run(None))
-        except Exception:  # solvers raise exceptions of any type
+        result = _run(name, program)
+        if result is None or result.status is SolverStatus.INFEASIBLE:
             continue
-        if result.status is not SolverStatus.INFEASIBLE and result.f is not None and result.multipliers is not None:
+        if result.f is not None and result.multipliers is not None:
             found = certify(problem, result.f, result.multipliers)
             if found.verified:
                 residual = max(found.primal_residual, found.dual_residual, found.gap)
+                yield name, residual, problem.cost(result.f)
+
+
+def _run(solver: str, program: ConicProgram) -> SolverResult | None:
+    """Return the result of a solver with high settings; None if it raised an exception."""
+    try:
+        bound_solver = load_adapter(solver).bind(program, "high")
+        return bound_solver.read(bound_solver.run(None))
+    except Exception:  # solvers raise exceptions of any type
+        return None
+
+
+def _certified_squeezes(problem: ForceProblem) -> Iterator[tuple[str, float, float]]:
+    """Yield the certified squeeze of an uncertain problem, and squeezes of other solvers that hold for all errors."""
+    solution = solve(problem, explain=False)
+    if solution.status is Status.OPTIMAL and solution.certificate is not None and solution.certificate.is_tight:
+        yield "clarabel", forces_residual(problem, solution.f), problem.cost(solution.f)
+    for name in _ROBUST_SOLVERS:
+        result = _run(name, case_program(problem))
+        if result is not None and result.status is SolverStatus.SOLVED and result.f is not None:
+            residual = forces_residual(problem, result.f)
+            if residual <= TIGHT_TOLERANCE:
                 yield name, residual, problem.cost(result.f)
 
 

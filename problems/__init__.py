@@ -7,6 +7,7 @@
 True
 """
 
+from graspforce.problems.batches import Batch, load_batch
 from graspforce.problems.case import Case, ExpectedInfeasibility, ExpectedOptimum
 from graspforce.problems.library import (
     DATA_VERSION,
@@ -24,6 +25,7 @@ from graspforce.problems.library import (
 __all__ = [
     "DATA_VERSION",
     "TEXTBOOK",
+    "Batch",
     "Case",
     "ExpectedInfeasibility",
     "ExpectedOptimum",
@@ -32,6 +34,7 @@ __all__ = [
     "data_hash",
     "describe",
     "load",
+    "load_batch",
     "names",
     "smoke_names",
     "text",

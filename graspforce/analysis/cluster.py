@@ -1,6 +1,8 @@
 """Run a function for many arguments on a Dask cluster (extra ``cluster``), with a bounded number of tasks in flight.
 
 Dask runs the tasks of a dead worker again on another one. A task must therefore give the same result when it runs twice.
+
+A task uses one thread of linear algebra: workers on the same machine would otherwise compete for its cores.
 """
 
 from __future__ import annotations
@@ -38,7 +40,9 @@ def run_on_cluster(cluster: Any, function: Callable[..., Any], arguments: Iterab
     with client, client.as_current():
         client.wait_for_workers(1)
         count = _TASKS_PER_THREAD * sum(client.nthreads().values())
-        first = [client.submit(function, *each, pure=False) for each in itertools.islice(remaining, count)]
+        first = [
+            client.submit(_call_with_one_thread, function, *each, pure=False) for each in itertools.islice(remaining, count)
+        ]
         pending = distributed.as_completed(first)
         for future in pending:
             try:
@@ -47,5 +51,13 @@ def run_on_cluster(cluster: Any, function: Callable[..., Any], arguments: Iterab
                 raise BackendError(f"a task ended several workers: {error}") from None
             future.release()
             for each in itertools.islice(remaining, 1):
-                pending.add(client.submit(function, *each, pure=False))
+                pending.add(client.submit(_call_with_one_thread, function, *each, pure=False))
             yield result
+
+
+def _call_with_one_thread(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Return the result of a function that uses one thread of linear algebra."""
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(limits=1):
+        return function(*arguments)

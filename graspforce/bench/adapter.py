@@ -90,7 +90,9 @@ def make_result(program: ConicProgram, status: SolverStatus, x: Any, y: Any, z: 
     parts = [None if part is None else np.array(part, dtype=np.float64).ravel() for part in (x, y, z)]
     x, y, z = (part if part is not None and np.isfinite(part).all() else None for part in parts)
     f = program.forces(x) if x is not None and status is SolverStatus.SOLVED else None
-    multipliers = program.multipliers(y, np.maximum(z, 0.0)) if y is not None and z is not None else None
+    multipliers = None
+    if y is not None and z is not None and program.problem.uncertainty is None:  # the certificate is that of one problem
+        multipliers = program.multipliers(y, np.maximum(z, 0.0))
     return SolverResult(status, f, multipliers, int(iterations))
 
 

@@ -6,7 +6,7 @@ A file has one answer per row: Parquet, JSON (a list of records) or CSV (numbers
     cone         "exact" (default), or "pyramid": exact cones replaced by inner pyramids of `FACETS` facets
     settings     accuracy that was asked for: a key of `TOLERANCE` (default: "default")
     status       "solved", "infeasible" or "no answer"
-    x            variables of the case's program, as `conic_program` and the data package state it; empty unless solved
+    x            variables of the case's program, as `case_program` and the data package state it; empty unless solved
     y, z         its multipliers, or a ray if infeasible: P x + q = Aᵀ y − Cᵀ z − …; both empty for a solver without multipliers
     seconds      time that the author reports, s; may be empty
     iterations   number of iterations; may be empty
@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from graspforce.bench.adapter import TOLERANCE, SolverStatus, make_result
+from graspforce.bench.case_program import case_program
 from graspforce.bench.judge import judge
 from graspforce.bench.outcome import RaceOutcome, RaceTask
 from graspforce.bench.worker import load_proven_case
@@ -31,7 +32,6 @@ from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.core.optional_libraries import optional_imports
-from graspforce.force.cone_program import conic_program
 
 _COLUMNS = ("case", "status", "cone", "settings", "x", "y", "z", "seconds", "iterations")
 _STATUSES = tuple(status.value for status in SolverStatus)
@@ -100,7 +100,7 @@ def judge_answers(solver: str, answers: Sequence[ReportedAnswer]) -> tuple[RaceO
 
 def _outcome(solver: str, answer: ReportedAnswer, path: str) -> RaceOutcome:
     problem, feasible, optimum = load_proven_case(answer.case, answer.pyramid)
-    program = conic_program(problem)
+    program = case_program(problem)
     sizes = {"x": len(program.q), "y": len(program.b), "z": len(program.d)}
     for name, size in sizes.items():
         value = getattr(answer, name)

@@ -13,6 +13,7 @@ from enum import Enum
 import numpy as np
 
 from graspforce.bench.adapter import SolverResult, SolverStatus
+from graspforce.bench.case_program import forces_residual
 from graspforce.core.arrays import Array
 from graspforce.core.errors import BackendError
 from graspforce.force.certificate import (
@@ -20,7 +21,6 @@ from graspforce.force.certificate import (
     TIGHT_TOLERANCE,
     certify,
     certify_infeasibility,
-    primal_residual,
 )
 from graspforce.force.problem import ForceProblem
 from graspforce.force.scale import scale
@@ -118,7 +118,7 @@ def judge(
         proof_residual = max(certificate.primal_residual, certificate.dual_residual, certificate.gap)
         if proof_residual <= accepted:
             return Judgement(Verdict.CERTIFIED, proof_residual)
-    residual = primal_residual(problem, result.f)
+    residual = forces_residual(problem, result.f)
     if feasible and residual <= WRONG_RESIDUAL[settings]:
         residual = max(residual, cost_excess(problem, result.f, optimum or proven_optimum(problem)))
     if residual > accepted:

@@ -21,9 +21,9 @@ from graspforce.bench.worker import Worker, sequence_name
 from graspforce.core.errors import InvalidInput
 
 UNITS = ("scaled", "si")
-SEQUENCE_COLLECTION = "trajectory"  # the collection whose cases form sequences
+SEQUENCE_COLLECTIONS = ("closed-loop", "trajectory")  # collections whose cases form sequences
 MAX_PYRAMID_CONTACTS = 100  # dense programs with 8 facets per contact take minutes above this
-MAX_CONE_CONTACTS = 300  # dense cone programs take minutes above this
+MAX_CONE_CONTACTS = 500  # dense cone programs take minutes above this
 _UNLIMITED_SOLVER = "structured"  # builds no dense program
 
 
@@ -105,7 +105,7 @@ def select_cases(collections: Sequence[str], max_cases: int) -> tuple[str, ...]:
         names = problems.names(collection)
         groups = (
             [list(group) for _, group in groupby(names, key=sequence_name)]
-            if collection == SEQUENCE_COLLECTION
+            if collection in SEQUENCE_COLLECTIONS
             else [[n] for n in names]
         )
         size = max(len(group) for group in groups)
@@ -134,7 +134,7 @@ def race_tasks(race: RacePlan) -> Iterator[RaceTask]:
                         if too_large or (is_pyramid and not pyramid) or not (module.EXACT_CONES or pyramid):
                             continue
                         yield RaceTask(solver, settings, units, pyramid, False, name)
-                        if module.WARM_START and name.startswith(f"{SEQUENCE_COLLECTION}/"):
+                        if module.WARM_START and name.partition("/")[0] in SEQUENCE_COLLECTIONS:
                             yield RaceTask(solver, settings, units, pyramid, True, name)
 
 

@@ -29,12 +29,12 @@ from typing import Any
 
 from graspforce import problems
 from graspforce.bench.adapter import BoundSolver
+from graspforce.bench.case_program import case_program
 from graspforce.bench.judge import Judgement, Verdict, judge, worst_judgement
 from graspforce.bench.outcome import RaceOutcome, RaceTask
 from graspforce.bench.registry import load_adapter
 from graspforce.bench.si_units import to_si_units
 from graspforce.core.errors import BackendError, GraspForceError
-from graspforce.force.cone_program import conic_program
 from graspforce.force.problem import ForceProblem
 from graspforce.force.problem_options import Cone
 from graspforce.force.solver import solve
@@ -203,7 +203,7 @@ def _run_task(task: RaceTask, limit: float, use_previous: bool, pipe: Connection
 
 def _bind_solver(task: RaceTask, problem: ForceProblem) -> BoundSolver:
     """Bind a solver to the problem. Each run needs a new binding, because some solvers keep their last solution."""
-    program = conic_program(problem)
+    program = case_program(problem)
     return load_adapter(task.solver).bind(to_si_units(program) if task.units == "si" else program, task.settings)
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import gzip
 import importlib.util
 import json
+import lzma
 import re
 import subprocess
 import sys
-import zipfile
+import tarfile
 from pathlib import Path
 from types import ModuleType
 
@@ -34,6 +34,12 @@ pyarrow = pytest.importorskip("pyarrow.parquet")
 
 # every objective with exact cones and pyramids, soft fingers, motor limits, no friction, infeasible problems of several kinds
 CASES = (
+    "batch/force-000",
+    "batch/limits-000",
+    "batch/pyramid-000",
+    "batch/torque-000",
+    "closed-loop/ideal-03-050",
+    "closed-loop/real-01-007",
     "fixture/clamp-limit",
     "infeasible/ball-01",
     "infeasible/near-1e-05-hand-2",
@@ -47,6 +53,9 @@ CASES = (
     "pyramid/inner-8-torque-1",
     "ring/3-force",
     "ring/3-torque",
+    "robust/centre-02",
+    "robust/friction-04",
+    "robust/normals-01",
     "soft/force-01",
     "soft/max-normal-01",
     "soft/sum-normal-01",
@@ -161,9 +170,10 @@ def test_stored_answer_satisfies_its_equations(name: str, reader: ModuleType) ->
     if program.feasible:
         assert agrees(case, program.scale * program.value(program.x) + program.offset)
         gap = program.x @ (program.P @ program.x) + program.q @ program.x - program.b @ program.y + program.d @ program.z
+        gap += program.r @ program.u
         assert abs(gap) <= 1e-6 * (1.0 + abs(program.value(program.x)))  # strong duality
     else:
-        assert program.b @ program.y - program.d @ program.z == pytest.approx(1.0)
+        assert program.b @ program.y - program.d @ program.z - program.r @ program.u == pytest.approx(1.0)
     assert gf.ForceProblem.from_dict(program.problem).to_dict() == case.problem.to_dict()
 
 
@@ -176,7 +186,7 @@ def test_parquet_holds_the_same_programs(package: Path, reader: ModuleType) -> N
         for key, count in (("P", size), ("A", len(program.b)), ("C", len(program.d)), ("S", sum(program.cones))):
             entries = (row[f"{key}_value"], (row[f"{key}_row"], row[f"{key}_column"]))
             assert (sparse.coo_matrix(entries, (count, size)).toarray() == getattr(program, key)).all()
-        for key in "qbdyzu":
+        for key in "qbdryzu":
             assert row[key] == getattr(program, key).tolist()
         assert (row["scale"], row["objective"], row["tags"]) == (program.scale, program.objective, list(program.tags))
 
@@ -201,20 +211,20 @@ def test_manifest_states_version_licence_and_hashes(package: Path, reader: Modul
         assert problems.DATA_VERSION in text
         assert "{version}" not in text
     data = package / "graspforce_problems" / "data"
-    with zipfile.ZipFile(data / "cbf.zip") as archive:
-        assert archive.namelist() == [f"{name}.cbf" for name in CASES]
-    lines = gzip.decompress((data / "json" / "ring.jsonl.gz").read_bytes()).decode().splitlines()
+    with tarfile.open(data / "cbf.tar.xz") as archive:
+        assert archive.getnames() == [f"{name}.cbf" for name in CASES]
+    lines = lzma.decompress((data / "json" / "ring.jsonl.xz").read_bytes()).decode().splitlines()
     assert [json.loads(line)["name"] for line in lines] == [name for name in CASES if name.startswith("ring/")]
 
 
 def test_changed_data_are_found_by_their_hash(tmp_path: Path) -> None:
     write_data_package(tmp_path / "changed", ["ring/3-force"])
-    file = tmp_path / "changed" / "graspforce_problems" / "data" / "json" / "ring.jsonl.gz"
-    file.write_bytes(gzip.compress(gzip.decompress(file.read_bytes()).replace(b'"feasible"', b'"Feasible"'), mtime=0))
+    file = tmp_path / "changed" / "graspforce_problems" / "data" / "json" / "ring.jsonl.xz"
+    file.write_bytes(lzma.compress(lzma.decompress(file.read_bytes()).replace(b'"feasible"', b'"Feasible"')))
     code = "import graspforce_problems as gp; print(gp.check_hashes())"
     code = f"import sys; sys.path.insert(0, '.'); {code}"
     ran = subprocess.run([sys.executable, "-c", code], cwd=tmp_path / "changed", capture_output=True, text=True, check=True)
-    assert ran.stdout.strip() == "['json/ring.jsonl.gz', 'ring/3-force']"
+    assert ran.stdout.strip() == "['json/ring.jsonl.xz', 'ring/3-force']"
 
 
 def test_package_is_not_written_over_other_files(tmp_path: Path) -> None:
@@ -232,6 +242,53 @@ def test_answer_that_differs_from_the_proven_one_is_an_error() -> None:
     proof = dataclasses.replace(capped.expected.proof, y=-capped.expected.proof.y)
     with pytest.raises(BackendError, match="the residual"):
         standard_form(dataclasses.replace(capped, expected=dataclasses.replace(capped.expected, proof=proof)))
+
+
+@pytest.mark.parametrize("kind", ["force", "torque", "pyramid", "limits"])
+def test_batch_gives_the_proven_optima(kind: str, reader: ModuleType) -> None:
+    batch = reader.load_batch(kind)
+    case = batch.program
+    assert batch.b[0] == pytest.approx(case.b, abs=1e-9)
+    assert batch.b.shape == (10_000, len(case.b))
+    x, b = cvxpy.Variable(len(case.q)), cvxpy.Parameter(len(case.b))
+    constraints = [case.A @ x == b, case.C @ x <= case.d]
+    for i, size in zip(np.cumsum([0, *case.cones]), case.cones, strict=False):
+        constraints.append(cvxpy.SOC(-case.S[i] @ x, -case.S[i + 1 : i + size] @ x))
+    program = cvxpy.Problem(cvxpy.Minimize(0.5 * cvxpy.quad_form(x, cvxpy.psd_wrap(case.P)) + case.q @ x), constraints)
+    infeasible = np.flatnonzero(np.isnan(batch.objectives))
+    for i in [*range(1, 10_000, 1111), *infeasible[:3]]:
+        b.value = batch.b[i]
+        value = case.scale * program.solve(solver="CLARABEL") + case.offset
+        if i in infeasible:
+            assert program.status == "infeasible"
+        else:
+            assert value == pytest.approx(batch.objectives[i], abs=1e-6 * (abs(batch.objectives[i]) + case.scale))
+
+
+def test_numbers_have_few_digits() -> None:
+    """At least nine; more only where the answer would otherwise leave its equations."""
+    form = standard_form(problems.load("ring/3-force"))
+    assert all(float(f"{value:.9g}") == value for value in [*form.A.data, *form.P.data, *form.x, *form.y])
+    near = standard_form(problems.load("infeasible/near-1e-06-hand-1"))
+    assert any(float(f"{value:.9g}") != value for value in near.A.data)
+
+
+def test_difficulty_follows_from_the_traits() -> None:
+    expected = {
+        "ring/3-force": ("easy", set()),
+        "pyramid/inner-8-force-1": ("easy", set()),
+        "robust/mass-01": ("medium", {"robust"}),
+        "scaling/0030-force-1": ("medium", set()),
+        "large/force-1": ("hard", {"large"}),
+        "hard/rank-line-1": ("hard", {"rank-deficient"}),
+        "hard/slippery-1e-04-3": ("hard", {"low-friction"}),
+        "hard/near-1e-05-hand-2": ("hard", {"near-limit"}),
+        "infeasible/near-1e-04-hand-6": ("hard", {"near-limit"}),
+    }
+    for name, (difficulty, traits) in expected.items():
+        tags = set(case_tags(problems.load(name)))
+        assert {tag for tag in tags if tag.startswith("difficulty:")} == {f"difficulty:{difficulty}"}, name
+        assert traits <= tags, name
 
 
 def test_tags_describe_the_case() -> None:

@@ -1,6 +1,6 @@
 """Conic Benchmark Format, version 1 (Friberg 2016): the cost as a rotated cone, t ≥ ½ ‖F x‖².
 
-    minimise qᵀ x + t    subject to   A x − b = 0,   C x − d ≤ 0,   −S x in cones,   (t, 1, F x) in the rotated cone
+    minimise qᵀ x + t    subject to   A x − b = 0,   C x − d ≤ 0,   r − S x in cones,   (t, 1, F x) in the rotated cone
 
 The rotated cone of the format is {v: 2 v₁ v₂ ≥ v₃² + …, v₁ ≥ 0, v₂ ≥ 0}. The variable t follows x; a linear cost has none.
 """
@@ -27,7 +27,7 @@ def write_cbf(form: StandardForm) -> str:
     columns = m + int(quadratic)
     blocks: list[tuple[str, sparse.csr_matrix, Array]] = [("L=", form.A, -form.b), ("L-", form.C, -form.d)]
     heads = np.cumsum([0, *form.cones])
-    blocks += [("Q", -form.S[i:j], np.zeros(j - i)) for i, j in pairwise(heads)]
+    blocks += [("Q", -form.S[i:j], form.r[i:j]) for i, j in pairwise(heads)]
     if quadratic:
         epigraph = sparse.vstack([sparse.csr_matrix(([1.0], ([0], [m])), (1, columns)), sparse.csr_matrix((1, columns))])
         factor = sparse.hstack([form.F, sparse.csr_matrix((form.F.shape[0], 1))])

@@ -1,16 +1,17 @@
 """Write the data package graspforce-problems: a folder that ``pip wheel`` builds.
 
-Data are written as Parquet (all cases), JSON (one line per case), CBF (all cases) and QPS (cases without second-order cones).
-`reader` becomes the module of the package. Equal cases give equal bytes of JSON, CBF and QPS.
+Data are written as Parquet (all cases), JSON (one line per case), CBF (all cases), QPS (cases without second-order cones), and
+NumPy arrays (batches). `reader` becomes the module of the package. Equal cases give equal bytes of JSON, CBF and QPS.
 """
 
 from __future__ import annotations
 
-import gzip
 import hashlib
+import io
 import json
+import lzma
 import shutil
-import zipfile
+import tarfile
 from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -20,6 +21,7 @@ from scipy import sparse
 
 from graspforce import problems
 from graspforce.bench.export import reader
+from graspforce.bench.export.batches import write_batches
 from graspforce.bench.export.cbf import write_cbf
 from graspforce.bench.export.parquet import write_parquet
 from graspforce.bench.export.qps import write_qps
@@ -30,7 +32,6 @@ from graspforce.problems.case import Case
 
 LICENCE = "CC-BY-4.0"
 _FILES = ("pyproject.toml.in", "README.md", "LICENSE", "CITATION.cff")
-_ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # the earliest of the format, so that equal data give equal bytes
 
 
 def write_data_package(
@@ -64,8 +65,10 @@ def write_data_package(
             qps[f"{name}.qps"] = write_qps(form)
     progress(len(chosen), len(chosen))
     hashes = _write_json(data / "json", records)
-    _write_zip(data / "cbf.zip", cbf)
-    _write_zip(data / "qps.zip", qps)
+    _write_archive(data / "cbf.tar.xz", cbf)
+    _write_archive(data / "qps.tar.xz", qps)
+    if any(name.startswith("batch/") for name in chosen):
+        write_batches(data / "batches")
     facts = {"version": problems.DATA_VERSION, "licence": LICENCE}
     hashed = [{**record, "sha256": hashes[record["name"]]} for record in records]
     write_parquet(data / "cases.parquet", hashed, {**facts, "readme": reader.__doc__ or ""})
@@ -84,7 +87,7 @@ def case_record(case: Case, form: StandardForm) -> dict[str, Any]:
         form: the case as a program.
     """
     problem = case.problem.to_dict()
-    vectors = {key: None if (vector := getattr(form, key)) is None else vector.tolist() for key in ("q", "b", "d", *"xyzu")}
+    vectors = {key: None if (vector := getattr(form, key)) is None else vector.tolist() for key in "qbdrxyzu"}
     return {
         "name": case.name,
         "collection": case.name.split("/")[0],
@@ -117,14 +120,17 @@ def _write_json(folder: Path, records: Sequence[Mapping[str, Any]]) -> dict[str,
         hashes[record["name"]] = _sha256(line.encode())
         files.setdefault(record["collection"], []).append(line)
     for collection, lines in files.items():
-        (folder / f"{collection}.jsonl.gz").write_bytes(gzip.compress(("\n".join(lines) + "\n").encode(), mtime=0))
+        (folder / f"{collection}.jsonl.xz").write_bytes(lzma.compress(("\n".join(lines) + "\n").encode()))
     return hashes
 
 
-def _write_zip(path: Path, texts: Mapping[str, str]) -> None:
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+def _write_archive(path: Path, texts: Mapping[str, str]) -> None:
+    """Write texts to a compressed archive; without dates and owners, so that equal data give equal bytes."""
+    with tarfile.open(path, "w:xz", format=tarfile.USTAR_FORMAT) as archive:
         for name, text in texts.items():
-            archive.writestr(zipfile.ZipInfo(name, _ZIP_DATE), text, zipfile.ZIP_DEFLATED, 9)
+            member = tarfile.TarInfo(name)
+            member.size = len(text.encode())
+            archive.addfile(member, io.BytesIO(text.encode()))
 
 
 def _write_sources(folder: Path, module: Path) -> None:

@@ -29,14 +29,16 @@ def write_parquet(path: Path, records: Sequence[Mapping[str, Any]], metadata: Ma
     fields += [pyarrow.field(name, pyarrow.int32()) for name in ("contacts", "variables")]
     fields += [pyarrow.field(name, pyarrow.float64()) for name in ("scale", "offset", "objective", "tolerance")]
     fields.append(pyarrow.field("cones", indices))
-    fields += [pyarrow.field(name, numbers) for name in ("q", "b", "d", "x", "y", "z", "u")]
+    fields += [pyarrow.field(name, numbers) for name in "qbdrxyzu"]
     for matrix in ("P", "A", "C", "S"):
         fields += [pyarrow.field(f"{matrix}_{part}", indices) for part in ("row", "column")]
         fields.append(pyarrow.field(f"{matrix}_value", numbers))
     schema = pyarrow.schema(fields, metadata={key.encode(): text.encode() for key, text in metadata.items()})
     rows = [{**record, **_flat_matrices(record)} for record in records]
     table = pyarrow.Table.from_pylist([{field.name: row.get(field.name) for field in fields} for row in rows], schema)
-    pyarrow.parquet.write_table(table, path, compression="zstd", compression_level=19)
+    floats = [f"{name}.list.element" for name in (*"qbrxyzu", "A_value", "C_value")]
+    packing = {"compression": "zstd", "compression_level": 19, "use_dictionary": False, "use_byte_stream_split": floats}
+    pyarrow.parquet.write_table(table, path, **packing)
 
 
 def _flat_matrices(record: Mapping[str, Any]) -> dict[str, Any]:

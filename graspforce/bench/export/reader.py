@@ -6,17 +6,17 @@
 True
 
     minimise   ½ xᵀ P x + qᵀ x
-    subject to A x = b,   C x ≤ d,   −S x in second-order cones {(t, v): ‖v‖ ≤ t}, one after another
+    subject to A x = b,   C x ≤ d,   r − S x in second-order cones {(t, v): ‖v‖ ≤ t}, one after another
 
     optimum    P x + q = Aᵀ y − Cᵀ z − Sᵀ u,   z ≥ 0,   u in the cones,   cost of the forces = scale · value + offset
-    ray        Aᵀ y = Cᵀ z + Sᵀ u,             z ≥ 0,   u in the cones,   bᵀ y − dᵀ z = 1
+    ray        Aᵀ y = Cᵀ z + Sᵀ u,             z ≥ 0,   u in the cones,   bᵀ y − dᵀ z − rᵀ u = 1
 """
 
 from __future__ import annotations
 
-import gzip
 import hashlib
 import json
+import lzma
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-FOLDER = Path(__file__).parent / "data"  # cases.parquet, json/*.jsonl.gz, cbf.zip, qps.zip, manifest.json
+FOLDER = Path(__file__).parent / "data"  # cases.parquet, json/*.jsonl.xz, cbf.tar.xz, qps.tar.xz, batches, manifest.json
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class Program:
         feasible: whether the program is feasible.
         P, q: Hessian and gradient of the cost.
         A, b, C, d: equations and inequalities.
-        S, cones: rows and dimensions of the second-order cones.
+        S, r, cones: rows, constants and dimensions of the second-order cones.
         scale, offset: cost of the forces = scale · value + offset.
         objective: proven cost of the forces; None if infeasible.
         tolerance: relative accuracy of ``objective``.
@@ -57,6 +57,7 @@ class Program:
     C: np.ndarray
     d: np.ndarray
     S: np.ndarray
+    r: np.ndarray
     cones: tuple[int, ...]
     scale: float
     offset: float
@@ -80,7 +81,7 @@ class Program:
             return float(np.abs(np.concatenate(parts)).max())
         parts[0] = gradient - self.P @ self.x - self.q
         parts += [self.A @ self.x - self.b, np.maximum(self.C @ self.x - self.d, 0.0)]
-        parts.append(np.minimum(_cone_margins(-self.S @ self.x, self.cones), 0.0))
+        parts.append(np.minimum(_cone_margins(self.r - self.S @ self.x, self.cones), 0.0))
         return float(np.abs(np.concatenate(parts)).max())
 
 
@@ -106,9 +107,31 @@ def load(name: str) -> Program:
     size = len(record["q"])
     rows = {"P": size, "A": len(record["b"]), "C": len(record["d"]), "S": sum(record["cones"])}
     values: dict[str, Any] = {key: _dense(record[key], (count, size)) for key, count in rows.items()}
-    values |= {key: None if record[key] is None else np.array(record[key], float) for key in "qbdxyzu"}
+    values |= {key: None if record[key] is None else np.array(record[key], float) for key in "qbdrxyzu"}
     values |= {key: record[key] for key in ("name", "scale", "offset", "objective", "tolerance", "problem")}
     return Program(tags=tuple(record["tags"]), feasible=record["status"] == "optimal", cones=tuple(record["cones"]), **values)
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Programs that differ in b only.
+
+    Args:
+        program: the first program, of the case ``batch/<kind>-000``.
+        b: (B, e) right sides of the equations.
+        objectives: (B,) proven costs of the forces; NaN for infeasible programs.
+    """
+
+    program: Program
+    b: np.ndarray
+    objectives: np.ndarray
+
+
+def load_batch(kind: str) -> Batch:
+    """Return ten thousand programs: "force", "torque", "pyramid" or "limits"."""
+    with np.load(FOLDER / "batches" / f"{kind}.npz") as stored:
+        b = stored["constant"] + stored["loads"] @ stored["moves"].T
+        return Batch(load(f"batch/{kind}-000"), b, stored["objectives"])
 
 
 def check_hashes() -> list[str]:
@@ -128,7 +151,7 @@ def _case_hash(name: str) -> str:
 def _lines(collection: str) -> dict[str, str]:
     """Return the JSON text of each case of a collection."""
     try:
-        text = gzip.decompress((FOLDER / "json" / f"{collection}.jsonl.gz").read_bytes()).decode()
+        text = lzma.decompress((FOLDER / "json" / f"{collection}.jsonl.xz").read_bytes()).decode()
     except FileNotFoundError:
         raise KeyError(f"no collection {collection!r}") from None
     return {json.loads(line)["name"]: line for line in text.splitlines()}

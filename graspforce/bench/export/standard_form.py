@@ -1,29 +1,34 @@
 """A case as a cone program with its proven answer: primal and dual optimum, or a ray that proves infeasibility.
 
 minimise   ½ xᵀ P x + qᵀ x
-subject to A x = b,   C x ≤ d,   −S x in second-order cones {(t, v): ‖v‖ ≤ t}, one after another
+subject to A x = b,   C x ≤ d,   r − S x in second-order cones {(t, v): ‖v‖ ≤ t}, one after another
 
 optimum    P x + q = Aᵀ y − Cᵀ z − Sᵀ u,   z ≥ 0,   u in the cones,   cost of the forces = scale · value + offset
-ray        Aᵀ y = Cᵀ z + Sᵀ u,             z ≥ 0,   u in the cones,   bᵀ y − dᵀ z = 1
+ray        Aᵀ y = Cᵀ z + Sᵀ u,             z ≥ 0,   u in the cones,   bᵀ y − dᵀ z − rᵀ u = 1
 """
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy import optimize, sparse
 
+from graspforce.bench.case_program import case_program
 from graspforce.core.arrays import Array
 from graspforce.core.errors import BackendError
 from graspforce.force.backends.clarabel import ConeSizes, solve_sparse
 from graspforce.force.backends.protocol import SolverSettings
-from graspforce.force.cone_program import ConicProgram, conic_program
+from graspforce.force.cone_program import ConicProgram
 from graspforce.force.multipliers import Multipliers
 from graspforce.force.problem import ForceProblem
 from graspforce.problems.case import Case, ExpectedOptimum
 
+DIGITS = (9, 11, 13, 15, 17)  # of numbers: the fewest with which the answer still holds
+_TINY = 1e-11  # multipliers below this share of the largest one are rounding errors of the solver, and become zero
 _ANSWER_ERROR = 1e-6  # largest relative error of an optimum against the proven one, and of a ray; loose for badly scaled cases
 
 
@@ -39,7 +44,7 @@ class StandardForm:
         q: (m,) gradient of the cost at zero.
         A, b: (e, m) and (e,) equations.
         C, d: (i, m) and (i,) inequalities.
-        S: (c, m) rows of the second-order cones.
+        S, r: (c, m) and (c,) rows of the second-order cones.
         cones: dimension of each second-order cone.
         scale: cost of the forces per unit of the program's value; −1 times it for a maximum.
         offset: cost of the forces at the value 0.
@@ -59,6 +64,7 @@ class StandardForm:
     C: sparse.csr_matrix
     d: Array
     S: sparse.csr_matrix
+    r: Array
     cones: tuple[int, ...]
     scale: float
     offset: float
@@ -73,13 +79,15 @@ class StandardForm:
 def standard_form(case: Case) -> StandardForm:
     """Return a case as a program with its answer, computed by Clarabel and checked against the proven answer.
 
+    Numbers are rounded to the fewest of `DIGITS` with which the answer still satisfies the equations.
+
     Args:
         case: the case.
 
     Raises:
         BackendError: Clarabel's answer differs from the proven one.
     """
-    program = conic_program(case.problem)
+    program = case_program(case.problem)
     P, rows = sparse.csc_matrix(program.P), sparse.csc_matrix(np.vstack([program.A, program.C, program.S]))
     e, i = len(program.b), len(program.d)
     right = np.concatenate([program.b, program.d, program.r])
@@ -102,6 +110,7 @@ def standard_form(case: Case) -> StandardForm:
         sparse.csr_matrix(program.C),
         program.d,
         sparse.csr_matrix(program.S),
+        program.r,
         program.cones,
         scale,
         offset,
@@ -112,8 +121,31 @@ def standard_form(case: Case) -> StandardForm:
         z,
         u,
     )
-    _check_answer(form)
-    return form
+    rounded = (_rounded(form, digits) for digits in DIGITS)
+    found = next((one for one in rounded if not _answer_errors(one)), form)
+    if error := _answer_errors(found):
+        raise BackendError(error)
+    return found
+
+
+def _rounded(form: StandardForm, digits: int) -> StandardForm:
+    """Return the program and its answer with rounded numbers."""
+    matrices: dict[str, Any] = {}
+    for name in ("P", "F", "A", "C", "S"):
+        matrices[name] = getattr(form, name).copy()
+        matrices[name].data = _round_digits(matrices[name].data, digits)
+    vectors = {name: getattr(form, name) for name in ("q", "b", "d", "r", "x", "y", "z", "u")}
+    rounded: dict[str, Any] = {
+        name: None if values is None else _round_digits(values, digits) for name, values in vectors.items()
+    }
+    for name in ("y", "z", "u"):
+        sizes = np.abs(rounded[name])
+        rounded[name] = np.where(sizes > _TINY * sizes.max(initial=0.0), rounded[name], 0.0)
+    return dataclasses.replace(form, **matrices, **rounded)
+
+
+def _round_digits(values: Array, digits: int) -> Array:
+    return np.array([float(f"{value:.{digits}g}") for value in values.tolist()], dtype=np.float64)
 
 
 def _cost_units(program: ConicProgram) -> tuple[float, float]:
@@ -172,18 +204,19 @@ def _ray(program: ConicProgram, proof: Multipliers) -> tuple[Array, Array, Array
     return y / value, z / value, u / value
 
 
-def _check_answer(form: StandardForm) -> None:
-    """Raise `BackendError` if the answer is not the proven one."""
+def _answer_errors(form: StandardForm) -> str:
+    """Return what is wrong with an answer that is not the proven one; empty if it is."""
     heads = np.cumsum([0, *form.cones])
     outside = [max(0.0, float(np.linalg.norm(form.u[i + 1 : j]) - form.u[i])) for i, j in pairwise(heads)]
     if form.x is None:
         gradient = form.A.T @ form.y - form.C.T @ form.z - form.S.T @ form.u
         error = max(float(np.abs(gradient).max()), float(-form.z.min(initial=0.0)), *outside, 0.0)
         if not error <= _ANSWER_ERROR:
-            raise BackendError(f"{form.name}: the proof leaves a ray with the residual {error:.1e}")
-        return
+            return f"{form.name}: the proof leaves a ray with the residual {error:.1e}"
+        return ""
     value = 0.5 * float(form.x @ (form.P @ form.x)) + float(form.q @ form.x)
     proven = form.objective or 0.0
     error = abs(form.scale * value + form.offset - proven)
     if not error <= _ANSWER_ERROR * (abs(proven) + abs(form.scale)):
-        raise BackendError(f"{form.name}: the optimum differs from the proven one by {error:.1e}")
+        return f"{form.name}: the optimum differs from the proven one by {error:.1e}"
+    return ""

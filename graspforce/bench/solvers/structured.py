@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from graspforce.bench.adapter import BoundSolver, SolverResult, SolverStatus
+from graspforce.core.errors import UnsupportedProblem
 from graspforce.force.backends import compiled_kernel, structured
 from graspforce.force.backends.protocol import SolverSettings
 from graspforce.force.cone_program import ConicProgram
@@ -33,6 +34,8 @@ def bind(program: ConicProgram, settings: str) -> BoundSolver:
         settings: ignored; the kernel runs with its default tolerance.
     """
     problem = program.problem
+    if problem.uncertainty is not None:
+        raise UnsupportedProblem("the structured kernel solves one problem, not one for all errors")
 
     def run(start: Any) -> tuple[structured.KernelSession, Solution]:
         session = None if start is None else start[0]
