@@ -1,4 +1,4 @@
-"""Write the batches of ten thousand problems: ``python -m benchmarks.write_batches [KIND …]``, in a checkout, with extra ``bench``.
+"""Write the batches of ten thousand problems: ``python -m benchmarks.write_batches [KIND …]``, in a checkout (extra ``bench``).
 
 Each member gets its answer as in `benchmarks.write_collections`: an optimum on which two solvers with certified solutions
 agree to 1e-6, or a verified proof of infeasibility.
