@@ -64,7 +64,7 @@ class Readings:
         """
         error = 1e3 * float(np.linalg.norm(command.error[:3]))
         use = torque_use(np.asarray(command.tau), hand.torque_lower, hand.torque_upper)
-        return cls(t, np.asarray(command.slip_margin), use, error, step_time, command.warnings, motions or {})
+        return cls(t, np.asarray(command.slip_margin), use, error, step_time, command.warnings, motions=motions or {})
 
     @classmethod
     def of_recording(cls, recording: Recording) -> tuple[Readings, ...]:

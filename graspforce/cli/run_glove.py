@@ -17,8 +17,9 @@ from graspforce.cli.console import progress_console
 from graspforce.cli.interruption import Interruption
 from graspforce.cli.json_output import put_result
 from graspforce.cli.run_free import joint_stepper
-from graspforce.cli.run_simulation import ServiceOptions, SimulateOptions, SimulateOutput
+from graspforce.cli.run_simulation import ServiceOptions, SimulateOutput
 from graspforce.cli.run_simulation import run as run_simulation
+from graspforce.cli.simulate_options import SimulateOptions
 from graspforce.cli.tables import make_table
 from graspforce.control.joints.joint_controller import JointController
 from graspforce.core import arrays

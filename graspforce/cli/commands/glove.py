@@ -168,7 +168,8 @@ def stream(
     from graspforce.cli.film_format import parse_film_format
     from graspforce.cli.json_output import result_console
     from graspforce.cli.options import GraspOptions, parse_vector
-    from graspforce.cli.run_simulation import SimulateOptions, SimulateOutput, service_options
+    from graspforce.cli.run_simulation import SimulateOutput, service_options
+    from graspforce.cli.simulate_options import SimulateOptions
     from graspforce.core.arrays import freeze
     from graspforce.hand.hand import Hand
 
