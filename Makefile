@@ -16,8 +16,10 @@ help:                           ## show the targets
 run: .venv/installed-sim        ## simulate an Allegro hand that moves a ball: film, plots and a summary in out/
 	$(BIN)/graspforce simulate $(FILM) --force --serve --video out/closed_loop.mp4 --plots out
 
-media: .venv/installed-sim      ## make the film of the README anew
+media: .venv/installed-sim .venv/installed-dev  ## make the films of README and guides anew
 	$(BIN)/graspforce simulate $(FILM) --force --video docs/media/allegro.webp
+	$(BIN)/graspforce learn synergies benchmarks/results/records/learning/postures_leap_right.csv --hand leap_right \
+		--duration 2.4 --fps 10 --film-size 480x272 --force --video docs/media/synergies.webp
 
 demo: .venv/installed           ## start a service, carry a box with a four-finger hand, show the forces
 	$(BIN)/graspforce demo

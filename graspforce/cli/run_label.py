@@ -1,4 +1,4 @@
-"""The command ``graspforce learn label``: the motions of fingers in a recording."""
+"""The commands ``graspforce learn label`` and ``similar``: the motions of fingers in recordings."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from graspforce.learning.actions.labels import (
     labelled_gist,
     save_labels,
 )
+from graspforce.learning.actions.retrieval import find_similar
 from graspforce.service.recording.annotation import Annotation, annotate
 from graspforce.service.recording.recording_reader import ServerRecording
 from graspforce.service.replay.label import LabelledStream, label_recording
@@ -102,6 +103,45 @@ def run(options: LabelOptions, console: Console) -> None:
         console.print(f"Recording with labels: [bold]{options.record}[/]", soft_wrap=True)
     found = {id: [_since(label, each.start) for label in each.labels] for id, each in streams.items()}
     put_result(console, {"file": options.file, "streams": {id: _records(labels) for id, labels in found.items()}})
+
+
+def run_similar(file: Path, others: Sequence[Path], deadband: float, count: int, console: Console) -> None:
+    """Show the recordings whose order of motions is most like that of a recording.
+
+    Args:
+        file: recording of a simulation, .npz.
+        others: recordings to compare with.
+        deadband: largest change of an angle that counts as rest, degrees per frame of 10 ms.
+        count: number of recordings to show at most.
+        console: shows the recordings.
+
+    Raises:
+        InvalidInput: a file is no recording, no finger moves in the first one, or in all others.
+        UnknownName: a hand is not found.
+        OSError: a file cannot be read.
+    """
+    gist = _recorded_gist(file, deadband)
+    if gist is None:
+        raise InvalidInput("FILE", str(file), f"a recording in which a finger moves by more than {deadband:g}° in 10 ms")
+    gists = {str(path): _recorded_gist(path, deadband) for path in others}
+    moving = {name: each for name, each in gists.items() if each is not None}
+    for name in sorted(gists.keys() - moving.keys()):
+        console.print(Text(f"{name}: no finger moves"))
+    found = find_similar(gist, moving, count)
+    console.print(Text(f"Order in {file}: {gist}"))
+    columns = [
+        ("similarity", [f"{each.similarity:.2f}" for each in found]),
+        ("recording", [each.name for each in found]),
+        ("order", [str(moving[each.name]) for each in found]),
+    ]
+    console.print(make_table(columns))
+    put_result(console, {"file": file, "similar": found})
+
+
+def _recorded_gist(file: Path, deadband: float) -> ActionGist | None:
+    """Return the gist of a recording; None if no finger moves."""
+    recording = Recording.load(file)
+    return _order(recording.motion_labels(Hand.load(recording.hand), label_settings(deadband)))
 
 
 def _show(title: str, labels: Sequence[MotionLabel], start: float, console: Console) -> None:

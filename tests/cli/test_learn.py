@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from graspforce.service import Client, JointStreamSetup, Server
 from graspforce.service.recording.exchange import STATE, End, Header, this_machine, this_version
 from graspforce.service.recording.recording_reader import ServerRecording
 from graspforce.service.recording.recording_writer import RecordingWriter
+from graspforce.simulation import Recording
 
 FILM = ["--duration", "0.5", "--fps", "4", "--film-size", "320x184", "--components", "1"]
 RATE = 50.0  # Hz, of the recorded stream
@@ -92,6 +94,30 @@ def test_a_simulated_run_is_labelled(tmp_path, capsys):
     assert (library.joints, len(library)) == (HAND.joint_names, 1)  # the hand rests
     assert main(["learn", "label", run, "--record", str(tmp_path / "out.mcap")]) == 1
     assert "--record" in capsys.readouterr().err
+
+
+def test_recordings_with_the_same_order_of_motions_are_found(tmp_path, capsys):
+    """Recordings of one run whose fingers close in an order; the posture is all that labels depend on."""
+    run = str(tmp_path / "run.npz")
+    command = ["simulate", "--hand", HAND.name, "--fingers", ",".join(GRASP.fingers), "--reference", "still"]
+    assert main([*command, "--duration", "0.9", "--save", run]) == 0
+    still = Recording.load(run)
+    names = [finger.name for finger in HAND.fingers[:3]]
+    for name, order in (("same", (0, 1, 2)), ("asked", (0, 1, 2)), ("reversed", (2, 1, 0)), ("one", (0,))):
+        q = np.array(still.q)
+        for k, i in enumerate(order):
+            bending = np.clip((still.t - 0.3 * k) / 0.25, 0.0, 1.0)
+            q[:, list(HAND.finger(names[i]).joints)[1:]] += 0.3 * bending[:, None]
+        dataclasses.replace(still, q=q).save(tmp_path / f"{name}.npz")
+    files = [str(tmp_path / f"{name}.npz") for name in ("asked", "reversed", "run", "one", "same")]
+    capsys.readouterr()
+    assert main(["learn", "similar", *files, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["similar"]
+    assert Path(found[0]["name"]).stem == "same"
+    assert found[0]["similarity"] == pytest.approx(1.0)
+    assert {Path(each["name"]).stem for each in found} == {"same", "reversed", "one"}
+    assert main(["learn", "similar", run, files[0]]) == 1
+    assert "a finger moves" in capsys.readouterr().err
 
 
 def with_steady_times(source: Path, target: Path) -> None:

@@ -132,3 +132,21 @@ def label(
     from graspforce.cli.run_label import LabelOptions, run
 
     run(LabelOptions(file, tuple(hand or ()), deadband, save, record, force), result_console(as_json))
+
+
+@learn.command(epilog="Example: graspforce learn similar turn.npz runs/*.npz")
+def similar(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording of `graspforce simulate`, .npz.")],
+    others: Annotated[list[Path], typer.Argument(metavar="FILES", help="Recordings to compare with.")],
+    deadband: Annotated[
+        float, typer.Option(metavar="DEG", help="Largest change of an angle in 10 ms that counts as rest, degrees.")
+    ] = 0.03,
+    count: Annotated[int, typer.Option(metavar="N", help="Recordings to show at most.")] = 5,
+    as_json: AsJson = False,
+) -> None:
+    """Find recordings like another one, by the order in which the fingers move."""
+    require_libraries("mujoco")
+    from graspforce.cli.json_output import result_console
+    from graspforce.cli.run_label import run_similar
+
+    run_similar(file, others, deadband, count, result_console(as_json))
