@@ -6,6 +6,7 @@ C_FILES := $(shell find graspforce/csrc tests/csrc -name '*.[ch]' -o -name '*.in
 FILM := --hand allegro_right --object sphere:0.033 --mass 0.06 --seed 7 \
   --reference reach --travel=-0.004,0.008,-0.003 --period 3 --turn 0.2,0,0.4 --turn-period 2 --duration 6 \
   --push 0,1.5,0,4.2,0.3
+SMALL := --force --film-size 480x272 --fps 10
 KERNELS := Haswell $(shell grep -qs avx512f /proc/cpuinfo && echo SkylakeX)
 
 .PHONY: help run media demo test check format bench soak docs clean
@@ -20,6 +21,8 @@ media: .venv/installed-sim .venv/installed-dev  ## make the films of README and 
 	$(BIN)/graspforce simulate $(FILM) --force --video docs/media/allegro.webp
 	$(BIN)/graspforce learn synergies benchmarks/results/records/learning/postures_leap_right.csv --hand leap_right \
 		--duration 2.4 --fps 10 --film-size 480x272 --force --video docs/media/synergies.webp
+	$(BIN)/graspforce simulate $(SMALL) --hand dlr_hit2 --reference still --push 0.6,0.6,0,0.8,0.4 --duration 2 --video docs/media/hold.webp
+	$(BIN)/graspforce plan $(SMALL) --hand leap_right --to=-0.004,0,0.004 --execute --video docs/media/plan.webp
 
 demo: .venv/installed           ## start a service, carry a box with a four-finger hand, show the forces
 	$(BIN)/graspforce demo

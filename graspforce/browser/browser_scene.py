@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import logging
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -67,6 +68,7 @@ class BrowserScene:
         with optional_imports():
             import viser
         address = ViewAddress() if address is None else address
+        logging.getLogger("websockets").setLevel(logging.CRITICAL)  # it prints tracebacks if a page closes while it connects
         self._display, self._cones = display, {}
         with contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
             self.server: viser.ViserServer = viser.ViserServer(address.host, address.port, label=title, verbose=False)

@@ -50,14 +50,22 @@ class FilmFormat:
         if self.elevation is not None and abs(self.elevation) > _HIGHEST:
             raise InvalidInput("--film-camera", self.elevation, f"an elevation from -{_HIGHEST:g} to {_HIGHEST:g} degrees")
 
+    @property
+    def picture(self) -> tuple[int, int]:
+        """Width and height of the picture above the strip, pixels."""
+        from graspforce.simulation.rendering.overlay import picture_size
+
+        return picture_size(*self.size)
+
     def camera(self, options: CameraOptions) -> CameraOptions:
-        """Return the options of a camera with this viewpoint and shape of the frames.
+        """Return the options of a camera with this viewpoint, and with the shape of the picture in the frames.
 
         Args:
             options: the other options.
         """
         elevation = options.elevation if self.elevation is None else math.radians(self.elevation)
-        aspect = self.size[0] / self.size[1]
+        width, height = self.picture
+        aspect = width / height
         return replace(options, aspect=aspect, azimuth=math.radians(self.azimuth), elevation=elevation)
 
 

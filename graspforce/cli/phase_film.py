@@ -20,7 +20,6 @@ from graspforce.simulation.rendering import (
     make_renderer,
 )
 from graspforce.simulation.rendering.film import ANIMATIONS
-from graspforce.simulation.rendering.overlay import COVERED
 
 _SWING = 0.15  # rad, of the film's camera
 _ROUNDING = 1e-6  # of a frame: sums of time steps
@@ -67,9 +66,9 @@ class PhaseFilm:
             return
         scene = self._plant.scene
         form, period = self._format, self._states[-1][0].t
-        camera = form.camera(replace(self._view, covered=COVERED, swing=_SWING, period=period))
+        camera = form.camera(replace(self._view, swing=_SWING, period=period))
         display = DisplayModel(scene, camera=camera)
-        renderer = make_renderer(display, *form.size)
+        renderer = make_renderer(display, *form.picture)
         self._console.print(f"Film: {renderer.description}.", soft_wrap=True)
         is_compact = self._video is not None and self._video.suffix.lower() in ANIMATIONS
         title = scene.grasp.hand.title.partition(":")[0]

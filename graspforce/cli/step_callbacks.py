@@ -25,13 +25,15 @@ from graspforce.simulation.rendering import (
     capture_state,
     make_renderer,
 )
+from graspforce.simulation.rendering.coverage import filling_camera
 from graspforce.simulation.rendering.film import ANIMATIONS
-from graspforce.simulation.rendering.overlay import COVERED
+from graspforce.simulation.rendering.overlay import STRIP
 
 StepCallback = Callable[[Plant, ControllerCommand], None]
 ProgressCallback = Callable[[PlantInterface, ControllerCommand], None]  # also a StepCallback
 
 _SWING = 0.30  # rad, of the film's camera
+_LEAST_COVER = 0.35  # part of the frame that hand and object cover
 _ROUNDING = 1e-6  # of a frame: sums of time steps
 _PROGRESS_STEPS, _VIEWER_STEPS = 20, 16  # steps between two updates
 
@@ -113,7 +115,7 @@ def film_callback(plant: Plant, options: FilmOptions, console: Console) -> Itera
         options: files and contents of the film.
         console: shows the renderer, the progress and the files.
     """
-    camera = options.format.camera(CameraOptions(covered=COVERED, swing=_SWING, period=options.duration))
+    camera = options.format.camera(CameraOptions(swing=_SWING, period=options.duration))
     display = DisplayModel(plant.scene, directories=options.directories, camera=camera)
     writer = FilmWriter(options.video, options.frames, options.format.rate, options.format.width)
     rate = writer.rate * options.slow_motion  # frames per simulated second
@@ -124,7 +126,10 @@ def film_callback(plant: Plant, options: FilmOptions, console: Console) -> Itera
             states.append((capture_state(plant), float(np.linalg.norm(command.error[:3]))))
 
     yield callback
-    renderer = make_renderer(display, *options.format.size)
+    if states:
+        display.update(states[0][0])
+        display.camera = filling_camera(display, _LEAST_COVER / (1.0 - STRIP), *options.format.picture)
+    renderer = make_renderer(display, *options.format.picture)
     console.print(f"Film: {renderer.description}.", soft_wrap=True)
     is_compact = options.video is not None and options.video.suffix.lower() in ANIMATIONS
     title = plant.scene.grasp.hand.title.partition(":")[0]

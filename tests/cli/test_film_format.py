@@ -45,9 +45,12 @@ def test_wrong_options_are_named(size, rate, camera, option):
 
 def test_the_camera_turns_about_the_vertical_axis():
     """The camera at an azimuth is the usual one, turned about the vertical axis, at the elevation."""
-    scene, usual = build_scene(three_finger_grasp(), gravity_H=PALM_UP), CameraOptions(elevation=math.radians(10.0))
+    scene, usual = (
+        build_scene(three_finger_grasp(), gravity_H=PALM_UP),
+        CameraOptions(elevation=math.radians(10.0), aspect=1280.0 / 576.0),
+    )
     turned = FilmFormat(azimuth=50.0, elevation=10.0).camera(usual)
-    assert turned.aspect == pytest.approx(16.0 / 9.0)
+    assert turned.aspect == pytest.approx(1280.0 / 576.0)  # above the strip
     before, now = (DisplayModel(scene, camera=each).camera for each in (usual, turned))
     assert before.azimuth + math.radians(50.0) == pytest.approx(now.azimuth)
     _, axes = now.pose(0.0)

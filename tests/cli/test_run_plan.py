@@ -32,7 +32,7 @@ from graspforce.planning.limit_usage import limit_usage
 from graspforce.planning.settings import PlanSettings
 from graspforce.service import Server
 from graspforce.simulation.rendering.film import ANIMATION_RATE
-from graspforce.simulation.rendering.overlay import COVERED
+from graspforce.simulation.rendering.overlay import STRIP
 from graspforce.view import plan_plots
 
 HAND = "allegro_right"
@@ -83,8 +83,8 @@ def test_film_shows_the_executed_plan_in_slow_motion(at_once, tmp_path, monkeypa
         first = np.asarray(pictures.convert("RGB"), dtype=float)
         pictures.seek(pictures.n_frames - 1)
         last = np.asarray(pictures.convert("RGB"), dtype=float)
-    hand = slice(int(COVERED * first.shape[1]) + 1, None)  # right of the panel
-    assert np.abs(first[:, hand] - last[:, hand]).mean() > 0.1
+    hand = slice(int(0.25 * first.shape[0]), int((1.0 - STRIP) * first.shape[0]) - 1)  # between captions and strip
+    assert np.abs(first[hand] - last[hand]).mean() > 0.1
 
 
 def test_film_without_execution_is_rejected(capsys, monkeypatch):

@@ -25,7 +25,6 @@ class CameraOptions:
 
     Args:
         aspect: width over height of the frame.
-        covered: part of the frame's width that an overlay covers from the left, 0 to 1.
         swing: amplitude of the orbit, rad.
         period: of the orbit, s.
         elevation: of the camera above the horizontal plane, rad.
@@ -34,7 +33,6 @@ class CameraOptions:
     """
 
     aspect: float = 16.0 / 9.0
-    covered: float = 0.0
     swing: float = 0.0
     period: float = 10.0
     elevation: float = math.radians(24.0)
@@ -82,7 +80,6 @@ class OrbitCamera:
         distance: from the target, m.
         swing: amplitude of the swing, rad.
         period: of the swing, s.
-        shift: distance by which the camera's axis passes to the left of the target, m: keeps the target clear of an overlay.
     """
 
     target: Array
@@ -92,13 +89,12 @@ class OrbitCamera:
     distance: float
     swing: float
     period: float
-    shift: float = 0.0
 
     def pose(self, t: float) -> tuple[Array, Array]:
         """Return the camera's position (3,), m, and axes (3, 3) in H at time t; columns: right, up, backward."""
         azimuth = self.azimuth + self.swing * math.sin(2.0 * math.pi * t / self.period)
         axes = _axes(self.vertical, azimuth, self.elevation)
-        return self.target - self.shift * axes[:, 0] + self.distance * axes[:, 2], axes
+        return self.target + self.distance * axes[:, 2], axes
 
     def towards(self) -> Array:
         """Return the horizontal unit vector (3,) from the target to the camera in the middle of the swing, in H."""
@@ -144,14 +140,13 @@ def place_camera(
             best, azimuth = score, float(candidate)
     azimuth += options.azimuth
     tangent = math.tan(math.radians(FIELD_OF_VIEW) / 2.0)
-    half = np.array([tangent * options.aspect * (1.0 - options.covered), tangent]) * _FILL
+    half = np.array([tangent * options.aspect, tangent]) * _FILL
     shown = points[np.linalg.norm(points - data.geom(OBJECT).xpos, axis=1) <= options.radius]
     points = shown if len(shown) else points
     distance, target = _fit(points, _axes(vertical, azimuth, options.elevation), half)
     for angle in (azimuth - options.swing, azimuth + options.swing):
         distance = max(distance, _distance(points - target, _axes(vertical, angle, options.elevation), half))
-    shift = options.covered * tangent * options.aspect * distance
-    return OrbitCamera(target, vertical, azimuth, options.elevation, distance, options.swing, options.period, shift)
+    return OrbitCamera(target, vertical, azimuth, options.elevation, distance, options.swing, options.period)
 
 
 def _axes(vertical: Array, azimuth: float, elevation: float) -> Array:

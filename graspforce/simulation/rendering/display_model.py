@@ -80,7 +80,7 @@ class DisplayModel:
         try:
             points, bare, data = self._corners(spec)
             self.up = vertical[2]
-            self.camera = place_camera(bare, data, vertical, self._contact_points(), points, camera or CameraOptions())
+            self.camera = place_camera(bare, data, vertical, self.contact_points, points, camera or CameraOptions())
             stage.add_stage(spec, self.up, self.camera.towards(), _palm_middle(tree), points, bool(np.any(gravity_H != 0.0)))
             position, axes = self.camera.pose(0.0)
             quaternion = np.zeros(4)
@@ -169,8 +169,9 @@ class DisplayModel:
                 corners.append(data.geom_xpos[i] + (centre + half * _SIGNS) @ data.geom_xmat[i].reshape(3, 3).T)
         return np.concatenate(corners), model, data
 
-    def _contact_points(self) -> Array:
-        """Return points just inside the object at its contacts, in H, m."""
+    @property
+    def contact_points(self) -> Array:
+        """Points (N, 3) just inside the object at its contacts in the grasp, in H, m."""
         grasp = self.scene.grasp
         inside = grasp.contacts.p_OC + _INSIDE * grasp.contacts.R_OC[:, :, 2]
         return np.asarray(grasp.p_HO + inside @ grasp.R_HO.T)

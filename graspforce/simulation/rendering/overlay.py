@@ -1,4 +1,4 @@
-"""A panel beside the hand: time, tracking error, and each contact's friction use, slip margin and normal force."""
+"""Captions on the picture, and a strip below it with each contact's friction use, slip margin and normal force."""
 
 from __future__ import annotations
 
@@ -13,28 +13,37 @@ from graspforce.contact.use_colour import use_colour
 from graspforce.simulation.rendering.display_model import Image
 from graspforce.simulation.rendering.marks import ContactMark, SceneState
 
-COVERED = 0.27  # part of the frame's width under the panel
+STRIP = 0.2  # part of the frame's height under the strip
 
-_BACKGROUND, _OPACITY = (17, 22, 30), 0.93
+_BACKGROUND = (17, 22, 30)
 _TEXT, _FAINT, _TRACK, _LIMIT = (240, 243, 247), (158, 170, 184), (52, 61, 74), (224, 92, 60)
-_PUSH_COLOUR = (110, 40, 140)
-_SMALL, _MEDIUM, _LARGE, _HUGE = 16, 19, 24, 32  # pixels
+_CAPTION, _CAPTION_FAINT, _PUSH_COLOUR = (24, 30, 40), (72, 82, 96), (110, 40, 140)
+_CAPTION_BACKGROUND, _CAPTION_OPACITY = (232, 238, 244), 0.72
+_SIZES = {False: (15, 18, 26), True: (24, 28, 40)}  # pixels of small, medium and large text, normal and compact
 _DESIGN_HEIGHT = 720  # pixels: sizes are for frames of this height
-_HEADING, _COMPACT_HEADING = 158, 150  # pixels above the first contact
-_TALLEST = 190  # pixels for one contact
-_CURVE = 90  # pixels from the top of a contact's block to its curve
-_LOWEST_CURVE = 16  # pixels: lower curves are left out
+_MARGIN = 20  # pixels
 _HISTORY = 6.0  # s of the film, shown by the curves
+_BLOCK = 8  # pixels: heights of pictures are multiples, for video codecs
+
+
+def picture_size(width: int, height: int) -> tuple[int, int]:
+    """Return the size of the picture above the strip, pixels.
+
+    Args:
+        width: of the frames, pixels.
+        height: of the frames, pixels.
+    """
+    return width, height - max(round(STRIP * height / _BLOCK), 1) * _BLOCK
 
 
 class Overlay:
-    """The panel of a film.
+    """Captions and strip of a film.
 
     Args:
-        title: first line of the panel.
-        subtitle: second line, smaller.
+        title: first line of the captions.
+        subtitle: second line, such as how much slower the film is.
         width: of the frames, pixels.
-        height: of the frames, pixels.
+        height: of the frames, pixels; `picture_size` has the size of the picture in it.
         is_compact: large text and less of it, for small films.
         slow_motion: seconds of the film for each second of the simulation; the curves show 6 s of the film.
     """
@@ -43,22 +52,24 @@ class Overlay:
         self, title: str, subtitle: str, width: int, height: int, is_compact: bool = False, slow_motion: float = 1.0
     ) -> None:
         self._title, self._subtitle, self._size, self._is_compact = title, subtitle, (width, height), is_compact
+        self._digits = 1 if slow_motion < 2.0 else 2 if slow_motion < 20.0 else 4  # of the time in s
         self._shown_time = _HISTORY / slow_motion  # s
         self._scale = min(height / _DESIGN_HEIGHT, width / (_DESIGN_HEIGHT * 16.0 / 9.0))
         fonts = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
+        self._small, self._medium, self._large = _SIZES[is_compact]
         self._fonts = {
             (size, bold): ImageFont.truetype(fonts / f"DejaVuSans{'-Bold' if bold else ''}.ttf", max(self._pixels(size), 6))
-            for size in (_SMALL, _MEDIUM, _LARGE, _HUGE)
+            for size in _SIZES[is_compact]
             for bold in (False, True)
         }
         self._history: list[tuple[float, list[float]]] = []
         self._without_contact = ("lost", _LIMIT)  # label of a finger that does not touch, and its colour
 
     def paint(self, image: Image, state: SceneState, status: float | str) -> Image:
-        """Return the image with the panel painted over its left part.
+        """Return the frame: the picture with captions, and the strip below it.
 
         Args:
-            image: (height, width, 3), of the state.
+            image: (height, width, 3), of the state, in the size of `picture_size`.
             state: time, contacts and push.
             status: distance of the object from its reference, m; or a text, such as the phase of a grasp.
         """
@@ -66,89 +77,74 @@ class Overlay:
         self._without_contact = ("lost", _LIMIT) if isinstance(status, float) else ("open", _FAINT)
         self._history = [row for row in self._history if row[0] > t - self._shown_time]
         self._history.append((t, [mark.use for mark in contacts]))
-        width, height = round(COVERED * self._size[0]), self._size[1]
-        canvas = PillowImage.fromarray(image)
-        panel = PillowImage.new("RGB", (width, height), _BACKGROUND)
-        canvas.paste(panel, (0, 0), PillowImage.new("L", panel.size, int(255 * _OPACITY)))
+        canvas = PillowImage.new("RGB", self._size, _BACKGROUND)
+        canvas.paste(PillowImage.fromarray(image), (0, 0))
         draw = ImageDraw.Draw(canvas)
-        self._paint_heading(draw, t, status)
-        heading = self._pixels(_COMPACT_HEADING if self._is_compact else _HEADING)
-        block = min((height - heading) // max(len(contacts), 1), self._pixels(_TALLEST))
+        self._paint_captions(canvas, draw, state, status)
+        top, cell = image.shape[0], self._size[0] / max(len(contacts), 1)
         for i, mark in enumerate(contacts):
-            paint = self._paint_compact_contact if self._is_compact else self._paint_contact
-            paint(draw, mark, i, heading + i * block, block)
-        if state.push is not None:
-            text, size = f"push {state.push.force:.1f} N", _HUGE if self._is_compact else _LARGE
-            self._text(draw, (width + self._pixels(24), self._pixels(20)), text, size, True, _PUSH_COLOUR)
+            self._paint_contact(draw, mark, i, (round(i * cell), round((i + 1) * cell)), top)
         return np.asarray(canvas)
 
-    def _paint_heading(self, draw: ImageDraw.ImageDraw, t: float, status: float | str) -> None:
-        """Paint titles, time, and tracking error or status."""
-        left, pixels = self._pixels(24), self._pixels
-        if self._is_compact:
-            self._paint_title(draw, (left, pixels(22)))
-            self._text(draw, (left, pixels(62)), f"t = {t:.1f} s", _LARGE)
-            self._text(
-                draw, (left, pixels(98)), status if isinstance(status, str) else "friction in use:", _LARGE, colour=_FAINT
-            )
-            return
-        self._paint_title(draw, (left, pixels(24)))
-        self._text(draw, (left, pixels(57)), self._subtitle, _SMALL, colour=_FAINT)
-        self._text(draw, (left, pixels(88)), f"t = {t:4.2f} s", _MEDIUM)
+    def _paint_captions(
+        self, canvas: PillowImage.Image, draw: ImageDraw.ImageDraw, state: SceneState, status: float | str
+    ) -> None:
+        """Paint titles, time, tracking error or status, and the push, on the picture."""
+        margin, line = self._pixels(_MARGIN), self._pixels(1.35 * self._medium)
         text = status if isinstance(status, str) else f"tracking error {_length(status)}"
-        self._text(draw, (left, pixels(116)), text, _SMALL, colour=_FAINT)
+        time = f"t = {state.t:.{self._digits}f} s"
+        lines = [self._subtitle, time if self._is_compact else f"{time}, {text}"]
+        title, size = self._fitted_title(draw, margin)
+        below = margin + self._pixels(1.4 * self._large)
+        widths = [draw.textlength(title, self._fonts[size, True])]
+        widths += [draw.textlength(words, self._fonts[self._medium, False]) for words in lines]
+        box = round(max(widths)) + 2 * margin, below + len(lines) * line + margin // 2
+        canvas.paste(_CAPTION_BACKGROUND, (0, 0, *box), PillowImage.new("L", box, round(255 * _CAPTION_OPACITY)))
+        self._text(draw, (margin, margin), title, size, bold=True, colour=_CAPTION)
+        for i, words in enumerate(lines):
+            self._text(draw, (margin, below + i * line), words, self._medium, colour=_CAPTION_FAINT)
+        if state.push is not None:
+            place = self._size[0] - margin, margin
+            self._text(draw, place, f"push {state.push.force:.1f} N", self._large, True, _PUSH_COLOUR, "ra")
 
-    def _paint_title(self, draw: ImageDraw.ImageDraw, place: tuple[int, int]) -> None:
-        """Paint the title in the largest type that fits into the panel; the smallest is cut at its right edge."""
-        width, title = COVERED * self._size[0] - 2.0 * place[0], self._title  # pixels
-        sizes = [size for size in (_LARGE, _MEDIUM, _SMALL) if draw.textlength(title, self._fonts[size, True]) <= width]
-        size = sizes[0] if sizes else _SMALL
+    def _fitted_title(self, draw: ImageDraw.ImageDraw, left: int) -> tuple[str, int]:
+        """Return the title and the largest size in which it fits into three quarters of the width; the smallest is cut."""
+        width, title = 0.75 * self._size[0] - left, self._title  # pixels
+        sizes = [size for size in (self._large, self._medium) if draw.textlength(title, self._fonts[size, True]) <= width]
+        size = sizes[0] if sizes else self._small
         while draw.textlength(title, self._fonts[size, True]) > width:
             title = title[:-2] + "…"
-        self._text(draw, place, title, size, bold=True)
+        return title, size
 
-    def _paint_contact(self, draw: ImageDraw.ImageDraw, mark: ContactMark, index: int, top: int, block: int) -> None:
-        """Paint a contact: name, friction use as text, bar and curve, slip margin and normal force."""
-        pixels, colour = self._pixels, _bytes(mark)
-        left, right = pixels(24), round(COVERED * self._size[0]) - pixels(24)
-        draw.line((left, top, right, top), fill=_TRACK, width=1)
-        self._text(draw, (left, top + pixels(12)), mark.finger, _MEDIUM, bold=True)
-        label = f"{100.0 * mark.use:.0f} % of friction" if mark.touching else "no contact"
-        self._text(draw, (right, top + pixels(14)), label, _SMALL, anchor="ra", colour=colour)
-        self._bar(draw, (left, top + pixels(42)), right - left, pixels(9), mark)
-        self._text(draw, (left, top + pixels(60)), f"slip margin {max(mark.slip_margin, 0.0):.2f} N", _SMALL)
-        self._text(draw, (right, top + pixels(60)), f"normal {mark.f_n:.2f} N", _SMALL, anchor="ra", colour=_FAINT)
-        high, low = top + pixels(_CURVE + 4), top + block - pixels(14)  # of 100 and 0 %
-        if low - high < pixels(_LOWEST_CURVE):
-            return
-        draw.line((left, high, right, high), fill=_LIMIT, width=1)
-        draw.line((left, low, right, low), fill=_TRACK, width=1)
+    def _paint_contact(
+        self, draw: ImageDraw.ImageDraw, mark: ContactMark, index: int, edges: tuple[int, int], top: int
+    ) -> None:
+        """Paint a contact's part of the strip: name, friction use as number and curve, slip margin and normal force."""
+        pad, bottom = self._pixels(12), self._size[1] - self._pixels(10)
+        left, right = edges[0] + pad, edges[1] - pad
+        label, colour = self._without_contact
+        if mark.touching:
+            label, colour = f"{100.0 * mark.use:.0f} %", _bytes(mark)
+        y = top + self._pixels(8)
+        self._text(draw, (left, y), mark.finger, self._medium, bold=True)
+        self._text(draw, (right, y), label, self._medium, True, colour, "ra")
+        y += self._pixels(1.35 * self._medium)
+        margin = f"margin {max(mark.slip_margin, 0.0):.2f} N"
+        if self._is_compact:
+            self._text(draw, (left, y), margin, self._small, colour=_FAINT)
+        else:
+            self._text(draw, (left, y), f"slip {margin}", self._small)
+            self._text(draw, (right, y), f"normal {mark.f_n:.2f} N", self._small, anchor="ra", colour=_FAINT)
+        high = y + self._pixels(1.7 * self._small)
+        draw.line((left, high, right, high), fill=_LIMIT, width=1)  # 100 %: the finger slips
+        draw.line((left, bottom, right, bottom), fill=_TRACK, width=1)
         now = self._history[-1][0]
         points = [
-            (right - (right - left) * (now - t) / self._shown_time, low + (high - low) * uses[index])
+            (right - (right - left) * (now - t) / self._shown_time, bottom + (high - bottom) * uses[index])
             for t, uses in self._history
         ]
         if len(points) > 1:
-            draw.line(points, fill=colour, width=max(pixels(2), 1), joint="curve")
-
-    def _paint_compact_contact(self, draw: ImageDraw.ImageDraw, mark: ContactMark, _: int, top: int, __: int) -> None:
-        """Paint a contact in large type: name, friction use, bar and slip margin."""
-        pixels, (label, colour) = self._pixels, self._without_contact
-        left, right = pixels(24), round(COVERED * self._size[0]) - pixels(24)
-        draw.line((left, top, right, top), fill=_TRACK, width=2)
-        self._text(draw, (left, top + pixels(22)), mark.finger, _LARGE, bold=True)
-        if mark.touching:
-            label, colour = f"{100.0 * mark.use:.0f} %", _bytes(mark)
-        self._text(draw, (right, top + pixels(15)), label, _HUGE, True, colour, "ra")
-        self._bar(draw, (left, top + pixels(64)), right - left, pixels(16), mark)
-        self._text(draw, (left, top + pixels(96)), f"slip margin {max(mark.slip_margin, 0.0):.1f} N", _LARGE, colour=_FAINT)
-
-    def _bar(self, draw: ImageDraw.ImageDraw, place: tuple[int, int], width: int, height: int, mark: ContactMark) -> None:
-        left, top = place
-        draw.rectangle((left, top, left + width, top + height), fill=_TRACK)
-        if not mark.touching and self._without_contact[1] == _FAINT:
-            return
-        draw.rectangle((left, top, left + max(round(mark.use * width), 1), top + height), fill=_bytes(mark))
+            draw.line(points, fill=colour, width=max(self._pixels(2.5), 1), joint="curve")
 
     def _text(
         self,

@@ -29,9 +29,11 @@ from graspforce.simulation.rendering import (
     renderer,
 )
 from graspforce.simulation.rendering.camera import CameraOptions, CameraView
+from graspforce.simulation.rendering.coverage import coverage, filling_camera, silhouette
 from graspforce.simulation.rendering.mark_painter import arrow_facets, cone_facets, paint_marks
 from graspforce.simulation.rendering.marks import push_mark
-from graspforce.simulation.rendering.overlay import COVERED
+from graspforce.simulation.rendering.overlay import picture_size
+from graspforce.simulation.rendering.software_renderer import SoftwareRenderer
 from graspforce.simulation.rendering.tessellation import geom_triangles
 
 SIZE = (320, 180)  # pixels
@@ -248,16 +250,53 @@ def test_marks_are_painted_where_the_camera_sees_them(plant):
 
 @pytest.mark.parametrize("is_compact", [True, False])
 @pytest.mark.parametrize("title", ["Allegro hand", "Four fingers of three joints in two opposing pairs"])
-def test_overlay_covers_the_left_part_only(plant, is_compact, title):
-    image = np.full((360, 640, 3), 200, np.uint8)
-    overlay = Overlay(title, "a test", 640, 360, is_compact=is_compact)
+def test_overlay_has_captions_above_and_a_strip_below(plant, is_compact, title):
+    width, height = picture_size(640, 360)
+    image = np.full((height, width, 3), 100, np.uint8)
+    overlay = Overlay(title, "a test, 30 × slower", 640, 360, is_compact=is_compact, slow_motion=30.0)
     state = capture_state(plant)
     for k in range(3):
         painted = overlay.paint(image, replace(state, t=0.1 * k), 1e-5)
-    right = round(COVERED * 640)
-    np.testing.assert_array_equal(painted[:, right:], image[:, right:])
-    assert (painted[:, :right].mean(axis=2) < 100).mean() > 0.7  # dark
-    assert (painted[:, :right].max(axis=2) > 200).sum() > 100  # text and bars
+    assert painted.shape == (360, 640, 3)
+    strip, top = painted[height:], height // 2
+    np.testing.assert_array_equal(painted[top:height], image[top:])
+    assert (painted[:top] != image[:top]).any(axis=2).mean() < 0.75  # the captions leave the picture free
+    assert (painted[:top].max(axis=2) < 80).sum() > 100  # their dark text
+    assert (strip.mean(axis=2) < 100).mean() > 0.7  # dark
+    for part in np.array_split(strip, len(state.contacts), axis=1):
+        assert (part.max(axis=2) > 200).sum() > 20  # a text for each contact
+
+
+FILMED = ("allegro_right", "dlr_hit2", "leap_right")
+
+
+@pytest.mark.parametrize("name", FILMED)
+def test_hand_and_object_fill_a_third_of_the_frames_of_films(name):
+    """Measured in pixels of the silhouette, at five times of the camera's swing; the contacts are in the picture."""
+    gravity_H = (0.0, 0.0, -9.81)
+    grasp = find_grasp(load(name), Body.solid(Sphere(0.03), 0.05), friction=0.7, gravity_H=gravity_H)
+    size = picture_size(1280, 720)
+    scene = build_scene(relax_idle_fingers(grasp), gravity_H=gravity_H)
+    display = DisplayModel(scene, camera=CameraOptions(aspect=size[0] / size[1], swing=0.3, period=4.0))
+    state = capture_state(Plant(scene))
+    display.update(state)
+    share = size[1] / 720
+    display.camera = filling_camera(display, 0.35 / share, *size)
+    for t in np.linspace(0.0, 4.0, 5):
+        display.update(replace(state, t=t))
+        assert share * coverage(display, *size) > 1.0 / 3.0
+        places = display.view(*size).project(display.contact_points) / size
+        assert ((places > 0.0) & (places < 1.0)).all()
+
+
+def test_silhouette_is_where_the_image_shows_hand_and_object(plant, display):
+    """The software renderer draws the same triangles, over a background without them."""
+    state = capture_state(plant)
+    image = SoftwareRenderer(display, 320, 180, "").render(state)
+    mask = silhouette(display, display.view(320, 180))
+    assert 0.05 < mask.mean() < 0.8
+    dark = image.max(axis=2) < 90  # links; the background is light
+    assert (dark & mask).sum() > 0.97 * dark.sum()
 
 
 @pytest.mark.parametrize(("suffix", "rate"), [(".mp4", 30), (".gif", 15), (".webp", 15)])
