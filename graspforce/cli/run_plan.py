@@ -29,6 +29,7 @@ from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import GraspSearchOptions
+from graspforce.hand.hand import Hand
 from graspforce.planning import FreeMove, GraspTask, Move, PathMove, Plan, PlanFailure, Progress, save, tracking
 from graspforce.planning.acceleration_limits import UNLIMITED, AccelerationLimits
 from graspforce.planning.failure import STOPPED, UNSOLVED
@@ -231,7 +232,7 @@ def run(options: PlanOptions, output: PlanOutput, console: Console, connect: str
         pace = tracking.time_scale_plan(plan, grasp, settings)
     console.print(table(plan, grasp, pace))
     result = _record(plan, grasp, pace)
-    _save(plan, output, console)
+    _save(plan, output, console, grasp.hand)
     if not output.execute:
         put_result(console, result)
         if output.view is not None:
@@ -290,8 +291,8 @@ def _show_in_browser(plan: Plan, grasp: Grasp, settings: ControlSettings, consol
     show(build_scene(grasp, gravity_H=settings.gravity_H), plan, console)
 
 
-def _save(plan: Plan, output: PlanOutput, console: Console) -> None:
-    """Write the plan and its plots."""
+def _save(plan: Plan, output: PlanOutput, console: Console, hand: Hand | None = None) -> None:
+    """Write the plan and its plots, with torques in % of the limits of a hand."""
     if output.save is not None:
         output.save.parent.mkdir(parents=True, exist_ok=True)
         save(plan, output.save, _EXPORT_PERIOD)
@@ -299,7 +300,7 @@ def _save(plan: Plan, output: PlanOutput, console: Console) -> None:
     if output.plots is not None:
         from graspforce.view import plan_plots
 
-        for file in plan_plots.save_plots(plan, output.plots):
+        for file in plan_plots.save_plots(plan, output.plots, hand):
             console.print(f"Plot: [bold]{file}[/]", soft_wrap=True)
 
 

@@ -15,7 +15,8 @@ from graspforce.core.whole_file import replace_file
 
 # Distinguishable with colour-blindness (Okabe and Ito 2008), for lines that need no meaning of their own.
 LINE_COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")
-BLUE, RED, GREEN, GREY, PALE = "#1f4e8c", "#c0392b", "#2e8b57", "#888888", "#dddddd"
+BLUE, RED, GREEN, AMBER, PURPLE = "#0072b2", "#d55e00", "#009e73", "#e69f00", "#cc79a7"  # of the same colours
+GREY, PALE = "#888888", "#dddddd"
 _OTHER_COLOUR = "#cccccc"  # of motors without a label
 _MAX_NAMED = len(LINE_COLOURS)  # motors with a label
 
