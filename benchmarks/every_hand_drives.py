@@ -63,9 +63,9 @@ def measure(hand_name: str, mode: str, object_name: str, duration: float) -> dic
     errors |= {} if mode == "ideal" else {"drive_error": DRIVE_ERROR}
     world = World(sensors=sensors, seed=zlib.crc32(hand_name.encode()), **errors)
     has_losses = bool((grasp.hand.drives.values("efficiency") < 1.0).any())
-    base = ControlSettings(
-        gravity_H=gravity_H, slip_margin=MARGIN, period=1.0 / rate, friction=FrictionSettings() if has_losses else None
-    )
+    compensation = FrictionSettings(rest_tolerance_linear=0.0, rest_tolerance_angular=0.0)  # the noise alone sets them
+    friction_settings = compensation if has_losses else None
+    base = ControlSettings(gravity_H=gravity_H, slip_margin=MARGIN, period=1.0 / rate, friction=friction_settings)
     settings = ControlSettings.for_sensors(sensors, base, drives=grasp.hand.drives)
     controller = OutputFeedbackController(grasp, settings.settings, sensors)
     kept: list[bool] = []
