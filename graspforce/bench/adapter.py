@@ -3,6 +3,7 @@
     PACKAGE = "clarabel"   # distribution whose version the report states
     EXACT_CONES = True     # False: the solver gets pyramids only
     WARM_START = False     # whether the solver can start from an earlier solution
+    FLOAT32 = True         # only for solvers that compute in single precision with the settings "float32"
 
     def bind(program: ConicProgram, settings: str) -> BoundSolver: ...
 
@@ -24,8 +25,9 @@ from graspforce.core.arrays import Array
 from graspforce.force.cone_program import ConicProgram
 from graspforce.force.multipliers import Multipliers
 
-# Requested accuracy by settings, for rows and costs of unit size; None keeps the solver's own default.
-TOLERANCE = {"default": None, "high": 1e-10, "low": 1e-4}
+# Requested accuracy by settings, for rows and costs of unit size; None keeps the solver's own default. With "float32" the
+# numbers of the program have single precision, and only solvers that compute in single precision take part.
+TOLERANCE = {"default": None, "high": 1e-10, "low": 1e-4, "float32": 1e-3}
 
 
 class SolverStatus(str, Enum):

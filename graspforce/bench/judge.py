@@ -29,10 +29,10 @@ from graspforce.problems.case import ExpectedOptimum
 
 # Largest residual of the certificate that is accepted, by settings, relative to the scale of the problem. It is about 100 times
 # the tolerance of the solver on its own rows.
-ACCEPTED_RESIDUAL = {"default": LOOSE_TOLERANCE, "high": TIGHT_TOLERANCE, "low": 1e-2}
+ACCEPTED_RESIDUAL = {"default": LOOSE_TOLERANCE, "high": TIGHT_TOLERANCE, "low": 1e-2, "float32": 1e-2}
 # Residual of the forces above which a reported solution is wrong. At high settings a solver was asked for 1e-10 on its own
 # rows, and a residual a million times as large contradicts its report. The other settings ask for little accuracy or none.
-WRONG_RESIDUAL = {"default": 1e-2, "high": 1e-4, "low": 1e-2}
+WRONG_RESIDUAL = {"default": 1e-2, "high": 1e-4, "low": 1e-2, "float32": 1e-2}
 
 
 class Verdict(str, Enum):

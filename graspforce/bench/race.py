@@ -126,6 +126,8 @@ def race_tasks(race: RacePlan) -> Iterator[RaceTask]:
     for solver in race.solvers:
         module = load_adapter(solver)
         for settings in race.settings:
+            if settings == "float32" and not getattr(module, "FLOAT32", False):
+                continue
             for units in race.units:
                 for pyramid in (False, True):
                     for name, contacts, is_pyramid in facts:

@@ -29,7 +29,9 @@ SOLVERS = {
     "qpax": "graspforce.bench.solvers.qpax",
     "ipopt": "graspforce.bench.solvers.ipopt",
     "slsqp": "graspforce.bench.solvers.slsqp",
+    "qocogen": "graspforce.bench.solvers.qocogen",
 }
+BY_NAME_ONLY = ("qocogen",)  # compile code for each pattern of zeros, for seconds to minutes
 
 
 def load_adapter(name: str) -> SolverAdapter:
@@ -50,9 +52,9 @@ def load_adapter(name: str) -> SolverAdapter:
 
 
 def installed_solvers() -> tuple[str, ...]:
-    """Return the solvers of `SOLVERS` that can be imported."""
+    """Return the solvers of `SOLVERS` that can be imported, without `BY_NAME_ONLY`."""
     installed = []
-    for name in SOLVERS:
+    for name in (one for one in SOLVERS if one not in BY_NAME_ONLY):
         try:
             load_adapter(name)
         except UnknownName:

@@ -328,11 +328,12 @@ _LIMITATIONS = (
     "this accuracy are not counted.",
     "The certificate measures residuals in the units of the problem; a solver tests its own rows. First-order methods have "
     "loose default tolerances, which cause most *inexact* verdicts.",
-    "*High* sets the tolerance of each solver to 1e-10 and *low* to 1e-4, on its own scale. Solvers without tolerances "
-    "(structured, quadprog, qpoases, qrqp) behave the same in all settings. The structured kernel reads the problem itself, in "
-    "its own units.",
+    "*High* sets the tolerance of each solver to 1e-10, *low* to 1e-4 and *float32* to 1e-3, on its own scale. *Float32* is "
+    "for solvers that compute in single precision, with programs rounded to it. Solvers without tolerances (structured, "
+    "quadprog, qpoases, qrqp) behave the same in all settings. The structured kernel reads the problem itself, in its own "
+    "units.",
     "Cases whose dense program takes minutes to build are omitted: pyramids of more than 100 contacts and, except for the "
-    "structured kernel, exact cones of more than 300. Large collections are sampled evenly; `--max-cases 0` runs all cases.",
+    "structured kernel, exact cones of more than 500. Large collections are sampled evenly; `--max-cases 0` runs all cases.",
     "A load that is infeasible by less than the accepted residual counts as held: both answers are correct to that accuracy.",
     "With some options, ProxQP does not terminate on infeasible problems. With its default options, and with tolerances of "
     "1e-9 and 1e-12, dense and sparse, it terminated on all tested programs: 267 programs in SI units with 0.6.7, 0.7.2 and "

@@ -1,4 +1,4 @@
-"""Conversion of a cone program to SI units: newtons, newton metres, and the cost of the problem.
+"""Conversion of a cone program to SI units: newtons, newton metres, and the cost of the problem; and to single precision.
 
 `conic_program` divides each variable, row and cost by its own unit, which helps every solver. Without that scaling, a solver
 depends on its own scaling and tolerances.
@@ -40,3 +40,13 @@ def to_si_units(program: ConicProgram) -> ConicProgram:
         wrench_units=np.ones(6),
         cost_unit=1.0,
     )
+
+
+def to_single_precision(program: ConicProgram) -> ConicProgram:
+    """Return the same program with the numbers of P, q, A, b, C, d, S and r rounded to single precision.
+
+    Args:
+        program: the program.
+    """
+    parts = {name: getattr(program, name) for name in ("P", "q", "A", "b", "C", "d", "S", "r")}
+    return dataclasses.replace(program, **{name: part.astype(np.float32).astype(np.float64) for name, part in parts.items()})

@@ -1,10 +1,14 @@
 """A static page of a race: one file that needs no server. Tables, profiles, cases and solvers are drawn by its script.
 
+The data are compressed, so that a race of all solvers on all cases makes a page of less than 2 MB.
+
 `history.json` beside the page keeps the results of earlier versions; a later page with the same folder shows them.
 """
 
 from __future__ import annotations
 
+import base64
+import gzip
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -22,7 +26,7 @@ from graspforce.core.whole_file import write_text
 from graspforce.problems.case import Case, ExpectedOptimum
 
 MAX_DRAWN_CONTACTS = 40  # contacts in the picture of a case
-_DIGITS = 4  # significant digits of positions, normals, residuals and times
+_DIGITS, _RESIDUAL_DIGITS = 3, 2  # significant digits of positions, normals and times, and of residuals
 _SCRIPTS = ("statistics.js", "charts.js", "views.js")
 
 
@@ -41,7 +45,7 @@ def write_site(folder: Path, conditions: Mapping[str, Any], outcomes: Sequence[R
     parts = {
         "css": _part("page.css"),
         "script": "\n".join(_part(name) for name in _SCRIPTS),
-        "data": json.dumps(data, ensure_ascii=False, separators=(",", ":")).replace("</", "<\\/"),
+        "data": _compressed(data),
     }
     text = _part("page.html")
     for name, value in parts.items():
@@ -52,7 +56,7 @@ def write_site(folder: Path, conditions: Mapping[str, Any], outcomes: Sequence[R
 
 
 def page_data(conditions: Mapping[str, Any], outcomes: Sequence[RaceOutcome]) -> dict[str, Any]:
-    """Return the data of the page: solvers, cases, and one row of numbers for each run.
+    """Return the data of the page: solvers, cases, and the numbers of the runs, one list for each field.
 
     Args:
         conditions: machine, versions and limits of the race.
@@ -63,13 +67,14 @@ def page_data(conditions: Mapping[str, Any], outcomes: Sequence[RaceOutcome]) ->
     feasible: dict[tuple[str, bool], bool] = {(one.task.case, one.task.pyramid): one.feasible for one in outcomes}
     solver_indices, case_indices = ({key: i for i, key in enumerate(keys)} for keys in (solvers, names))
     verdicts = tuple(Verdict)
+    rows = [_run_row(one, solver_indices[one.task.solver], case_indices[one.task.case], verdicts) for one in outcomes]
     return {
         "limit": conditions["limit"],
         "facts": " ".join(condition_sentences(conditions, outcomes)),
         "verdicts": [verdict.value for verdict in verdicts],
         "solvers": [{"name": name, "version": conditions["versions"].get(name, "")} for name in solvers],
         "cases": [_case_record(name, feasible) for name in names],
-        "runs": [_run_row(one, solver_indices[one.task.solver], case_indices[one.task.case], verdicts) for one in outcomes],
+        "runs": [list(column) for column in zip(*rows, strict=True)] or [[]],
     }
 
 
@@ -77,7 +82,7 @@ def _run_row(outcome: RaceOutcome, solver: int, case: int, verdicts: Sequence[Ve
     """Return the numbers of a run, in the order of FIELDS in statistics.js."""
     task, judgement = outcome.task, outcome.judgement
     flags = [int(task.pyramid), int(task.warm)]
-    numbers = [_rounded(judgement.residual), _rounded(outcome.seconds), outcome.iterations]
+    numbers = [_rounded(judgement.residual, _RESIDUAL_DIGITS), _rounded(outcome.seconds), outcome.iterations]
     return [solver, task.settings, task.units, *flags, case, verdicts.index(judgement.verdict), *numbers]
 
 
@@ -129,8 +134,14 @@ def _updated_history(path: Path, conditions: Mapping[str, Any], outcomes: Sequen
     return list(history.values())
 
 
-def _rounded(value: float | None) -> float | None:
-    return None if value is None else float(f"{value:.{_DIGITS}g}")
+def _rounded(value: float | None, digits: int = _DIGITS) -> float | None:
+    return None if value is None else float(f"{value:.{digits}g}")
+
+
+def _compressed(data: Mapping[str, Any]) -> str:
+    """Return data as JSON, compressed and in letters that HTML allows."""
+    text = json.dumps(data, ensure_ascii=False, separators=(",", ":"))
+    return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode()
 
 
 def _part(name: str) -> str:

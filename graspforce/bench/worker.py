@@ -33,7 +33,7 @@ from graspforce.bench.case_program import case_program
 from graspforce.bench.judge import Judgement, Verdict, judge, worst_judgement
 from graspforce.bench.outcome import RaceOutcome, RaceTask
 from graspforce.bench.registry import load_adapter
-from graspforce.bench.si_units import to_si_units
+from graspforce.bench.si_units import to_si_units, to_single_precision
 from graspforce.core.errors import BackendError, GraspForceError
 from graspforce.force.problem import ForceProblem
 from graspforce.force.problem_options import Cone
@@ -204,7 +204,9 @@ def _run_task(task: RaceTask, limit: float, use_previous: bool, pipe: Connection
 def _bind_solver(task: RaceTask, problem: ForceProblem) -> BoundSolver:
     """Bind a solver to the problem. Each run needs a new binding, because some solvers keep their last solution."""
     program = case_program(problem)
-    return load_adapter(task.solver).bind(to_si_units(program) if task.units == "si" else program, task.settings)
+    program = to_si_units(program) if task.units == "si" else program
+    program = to_single_precision(program) if task.settings == "float32" else program
+    return load_adapter(task.solver).bind(program, task.settings)
 
 
 def _warm_start(task: RaceTask, limit: float, answers: dict[RaceTask, Any]) -> Any:

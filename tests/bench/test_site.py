@@ -7,9 +7,11 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.headless_browser import CHROMIUM, HeadlessBrowser
 
+from graspforce import problems
 from graspforce.bench.judge import Judgement, Verdict
 from graspforce.bench.outcome import RaceOutcome, RaceTask
 from graspforce.bench.site import write_site
@@ -168,3 +170,66 @@ def test_contrast_of_text_is_sufficient_in_both_themes(browser: HeadlessBrowser)
     assert themes == {"light", "dark"}
     labelled = browser.evaluate("[...document.querySelectorAll('svg')].every((one) => one.getAttribute('aria-label'))")
     assert labelled
+
+
+def test_page_of_all_solvers_on_all_cases_is_below_2_megabytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One case of each twenty, with random numbers: twenty solvers, eight of them with exact cones, as the suite has."""
+    monkeypatch.setattr("graspforce.bench.site.case_tags", lambda case: ("difficulty:easy", "exact", "feasible"))
+    rng, names, many = np.random.default_rng(3), problems.names()[::20], []
+    for solver in range(20):
+        for pyramid in (False, True) if solver < 8 else (True,):
+            for name in names:
+                task = RaceTask(f"solver-{solver}", "default", "scaled", pyramid, False, name)
+                judgement = Judgement(tuple(Verdict)[int(rng.integers(5))], float(10.0 ** rng.uniform(-16, -3)))
+                many.append(
+                    RaceOutcome(task, 3, True, judgement, float(10.0 ** rng.uniform(-5, -2)), None, int(rng.integers(40)))
+                )
+    size = write_site(tmp_path, CONDITIONS, many, "graspforce bench --max-cases 0").stat().st_size
+    empty = write_site(tmp_path / "one", CONDITIONS, many[:1], "graspforce bench").stat().st_size
+    assert empty + (size - empty) * len(problems.names()) / len(names) < 2e6
+
+
+def press(browser: HeadlessBrowser, key: str, code: int) -> None:
+    """Press and release a key."""
+    text = {"text": "\r"} if key == "Enter" else {}
+    for kind in ("keyDown", "keyUp"):
+        browser.call("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=code, **text)
+
+
+@pytest.mark.parametrize(
+    ("address", "heading"), [("", "Results"), ("cases", "Cases"), ("solver/beta", "beta"), ("history", "History by version")]
+)
+def test_tab_key_reaches_each_control_in_order(browser: HeadlessBrowser, address: str, heading: str) -> None:
+    """The first stop skips to the content; each stop is visible and shows its focus."""
+    open_view(browser, address, heading)
+    controls = "[...document.querySelectorAll('a[href], button, select, input')]"
+    browser.evaluate("document.activeElement.blur(); window.getSelection().removeAllRanges()")
+    browser.evaluate("document.body.tabIndex = -1; document.body.focus(); document.body.removeAttribute('tabindex')")
+    count, seen = browser.evaluate(f"{controls}.length"), []
+    for _ in range(min(count, 25)):
+        press(browser, "Tab", 9)
+        seen.append(browser.evaluate(f"{controls}.indexOf(document.activeElement)"))
+        outline = "(s => s.outlineStyle !== 'none' || s.boxShadow !== 'none')(getComputedStyle(document.activeElement))"
+        assert browser.evaluate(outline)
+    assert seen == list(range(len(seen)))
+    assert browser.evaluate(f"{controls}[0].getAttribute('href')") == "#main"
+
+
+def test_theme_and_filters_work_by_keyboard(browser: HeadlessBrowser) -> None:
+    open_view(browser, "", "Results")
+    before = browser.evaluate("document.documentElement.dataset.theme ?? ''")
+    browser.evaluate("document.getElementById('theme').focus()")
+    press(browser, "Enter", 13)
+    browser.wait(lambda: browser.evaluate("document.documentElement.dataset.theme ?? ''") != before)
+
+
+def test_page_has_language_title_headings_and_labels(browser: HeadlessBrowser) -> None:
+    for address, heading in (("", "Results"), ("case/ring/3-force", "ring/3-force"), ("solvers", "Solvers")):
+        open_view(browser, address, heading)
+        assert browser.evaluate("document.documentElement.lang") == "en"
+        assert browser.evaluate("document.title") == "Solvers on grasp-force problems"
+        assert browser.evaluate("document.querySelectorAll('h1').length") == 1
+        unnamed = "[...document.querySelectorAll('select, input')].filter((e) => !e.labels.length && !e.ariaLabel).length"
+        assert browser.evaluate(unnamed) == 0
+        assert browser.evaluate("[...document.querySelectorAll('button, a')].every((e) => e.innerText.trim() || e.ariaLabel)")
+        assert browser.evaluate("document.querySelectorAll('main table thead th').length") > 0 or address.startswith("case")

@@ -1,7 +1,7 @@
 // Decoded runs, filters and statistics. The formulas are those of graspforce.bench.statistics.
-const data = JSON.parse(document.getElementById("data").textContent);
+const data = window.pageData; // the loader of the page sets it
 const FIELDS = ["solver", "settings", "units", "pyramid", "warm", "case", "verdict", "residual", "seconds", "iterations"];
-const runs = data.runs.map((row) => Object.fromEntries(FIELDS.map((name, i) => [name, row[i]]))).map((run) => ({
+const runs = data.runs[0].map((_, row) => Object.fromEntries(FIELDS.map((name, i) => [name, data.runs[i][row]]))).map((run) => ({
   ...run,
   solver: data.solvers[run.solver].name,
   case: data.cases[run.case],

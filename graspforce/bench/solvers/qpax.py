@@ -1,4 +1,6 @@
-"""qpax: a primal-dual interior-point method for quadratic programs in JAX (Tracy and Manchester 2024), double precision.
+"""qpax: a primal-dual interior-point method for quadratic programs in JAX (Tracy and Manchester 2024).
+
+It computes in double precision, and with the settings "float32" in single precision, the default of JAX.
 
 JAX compiles the solver once for each shape of the problem. Compilation is part of binding and not timed. Copies to and from
 JAX's arrays are not timed either.
@@ -19,6 +21,7 @@ from graspforce.force.cone_program import ConicProgram
 PACKAGE = "qpax"
 EXACT_CONES = False
 WARM_START = False
+FLOAT32 = True
 
 
 def bind(program: ConicProgram, settings: str) -> BoundSolver:
@@ -29,12 +32,13 @@ def bind(program: ConicProgram, settings: str) -> BoundSolver:
         settings: accuracy settings, a key of `TOLERANCE`.
     """
     parts = (program.P, program.q, program.A, program.b, program.C, program.d)
-    with jax.enable_x64(True):
-        data = [jax.numpy.asarray(part, dtype=np.float64) for part in parts]
-    solver = _compiled(tuple(part.shape for part in parts), TOLERANCE[settings])
+    double = settings != "float32"
+    with jax.enable_x64(double):
+        data = [jax.numpy.asarray(part, dtype=np.float64 if double else np.float32) for part in parts]
+    solver = _compiled(tuple(part.shape for part in parts), TOLERANCE[settings], double)
 
     def run(start: Any) -> Any:
-        with jax.enable_x64(True):
+        with jax.enable_x64(double):
             return jax.block_until_ready(solver(*data))
 
     def read(output: Any) -> SolverResult:
@@ -46,9 +50,9 @@ def bind(program: ConicProgram, settings: str) -> BoundSolver:
 
 
 @lru_cache(maxsize=64)
-def _compiled(shapes: tuple[tuple[int, ...], ...], tolerance: float | None) -> Any:
+def _compiled(shapes: tuple[tuple[int, ...], ...], tolerance: float | None, double: bool) -> Any:
     """Return the solver, compiled for arrays of some shapes."""
     options = {} if tolerance is None else {"solver_tol": tolerance}
-    with jax.enable_x64(True):
-        arguments = [jax.ShapeDtypeStruct(shape, np.float64) for shape in shapes]
+    with jax.enable_x64(double):
+        arguments = [jax.ShapeDtypeStruct(shape, np.float64 if double else np.float32) for shape in shapes]
         return jax.jit(lambda *data: qpax.solve_qp(*data, **options)).lower(*arguments).compile()

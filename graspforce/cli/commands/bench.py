@@ -41,7 +41,7 @@ def bench(
         ),
     ] = None,
     settings: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="Accuracy: default, high or low; repeatable.")
+        list[str] | None, typer.Option(metavar="NAME", help="Accuracy: default, high, low or float32; repeatable.")
     ] = None,
     units: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Units: scaled (default) or si; repeatable.")] = None,
     folder: OwnProblems = None,
