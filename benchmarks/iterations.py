@@ -5,9 +5,10 @@ adversarial kinds are "slippery" (friction from 1e-4), "near the limit" (torque 
 make the problem feasible), "flat" (contacts within 1e-5 of a plane), "weights" (from 1e-4 to 1e4), and "overloaded" (up to 1000
 times the load). Iterations are those until the kernel's own verdict; at most 60 are allowed.
 
-Failures are problems without a certified optimum and without a verified proof of infeasibility. The kernel with its short steps
-(`docs/concepts/iteration_bound.md`) and Clarabel solve these again; the page counts the certified answers of each. "Most steps"
-are iterations of both paths together, and "bound" is the proven number of short steps that reduce all residuals to 1e-24.
+Failures are problems without a certified optimum and without a verified proof of infeasibility after the iterations. Their
+places are recorded. Each time the page is written, the kernel with its short steps (`docs/concepts/iteration_bound.md`) and
+Clarabel solve them again; the page counts the certified answers of each. "Most steps" are iterations of both paths together.
+"Bound" is the proven number of short steps that reduce all residuals to 1e-24. Short steps follow failures only.
 
 Results are kept in `benchmarks/results/records/iterations.jsonl`: a later run continues them, and `--budget` limits its time.
 
@@ -17,12 +18,15 @@ selects (`benchmarks/iterations_count.c`).
 
 from __future__ import annotations
 
+import itertools
 import math
+import operator
 import re
 import shutil
 import subprocess
 import tempfile
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -135,38 +139,50 @@ def problem(group: Group, i: int) -> gf.ForceProblem:
     return gf.ForceProblem(contacts, rows["w"], hand)
 
 
-@dataclass
-class Failures:
-    """Problems without a certified answer, and the answers to them.
+@dataclass(frozen=True)
+class Answers:
+    """Certified answers to the failures of a size.
 
     Args:
-        count: number of problems.
+        count: number of failures.
         by_steps, by_clarabel: those that the kernel with short steps, and Clarabel, solve.
         unsolved: those that neither solves.
         most_steps: most iterations of the kernel with short steps.
     """
 
-    count: int = 0
-    by_steps: int = 0
-    by_clarabel: int = 0
-    unsolved: int = 0
-    most_steps: int = 0
+    count: int
+    by_steps: int
+    by_clarabel: int
+    unsolved: int
+    most_steps: int
 
-    def add(self, failed: gf.ForceProblem) -> None:
-        """Solve one more failure.
 
-        Args:
-            failed: the problem.
-        """
-        session = KernelSession(failed, SolverSettings())
-        with_steps = session.solve()
-        is_solved = is_certified(failed, with_steps)
-        by_clarabel = gf.solve(failed, "clarabel", explain=False).status in (gf.Status.OPTIMAL, gf.Status.INFEASIBLE)
-        self.count += 1
-        self.by_steps += is_solved
-        self.by_clarabel += by_clarabel
-        self.unsolved += not (is_solved or by_clarabel)
-        self.most_steps = max(self.most_steps, with_steps.iterations)
+def solve_again(failed: Iterable[gf.ForceProblem]) -> Answers:
+    """Return the answers to problems without an answer of the kernel's first path.
+
+    Args:
+        failed: the problems.
+    """
+    rows, most = [], 0
+    for one in failed:
+        with_steps = KernelSession(one, SolverSettings()).solve()
+        by_clarabel = gf.solve(one, "clarabel", explain=False).status in (gf.Status.OPTIMAL, gf.Status.INFEASIBLE)
+        rows.append((is_certified(one, with_steps), by_clarabel))
+        most = max(most, with_steps.iterations)
+    by_steps, clarabel = (sum(row[i] for row in rows) for i in range(2))
+    return Answers(len(rows), by_steps, clarabel, sum(not any(row) for row in rows), most)
+
+
+def recorded_failures(task: Task, record: Record) -> Iterator[gf.ForceProblem]:
+    """Yield the failures of a piece.
+
+    Args:
+        task: contacts, joints, number of problems of a group, and index of the piece.
+        record: its record.
+    """
+    for index, numbers in itertools.groupby(record["failed"], key=operator.itemgetter(0)):
+        made = group(*task[:3], index)
+        yield from (problem(made, i) for _, i in numbers)
 
 
 def is_certified(problem: gf.ForceProblem, solution: gf.Solution) -> bool:
@@ -183,12 +199,11 @@ def is_certified(problem: gf.ForceProblem, solution: gf.Solution) -> bool:
     return bool(len(solution.f)) and certify(problem, solution.f, solution.multipliers).is_tight
 
 
-def solve_group(task: tuple[int, int, int, int], failures: Failures) -> tuple[str, npt.NDArray[np.int64]]:
-    """Return kind and numbers of problems by iterations, and add the failures.
+def solve_group(task: tuple[int, int, int, int]) -> tuple[str, npt.NDArray[np.int64], list[int]]:
+    """Return kind, numbers of problems by iterations, and the failures of a group.
 
     Args:
         task: contacts, joints, number of problems and index of the group.
-        failures: receives the failures.
     """
     made = group(*task)
     count, n = len(made.rows["w"]), made.rows["tau_u"].shape[1]
@@ -210,25 +225,24 @@ def solve_group(task: tuple[int, int, int, int], failures: Failures) -> tuple[st
     worst = np.max([report[f"certified_{name}"] for name in ("primal", "dual", "gap")], axis=0)
     is_proven = (report["status"] == 2) & (report["certified_primal"] == 0.0)
     failed = np.flatnonzero(~(((report["status"] <= 1) & (worst <= 1e-8)) | is_proven))
-    for i in failed:
-        failures.add(problem(made, int(i)))
-    return made.kind, np.bincount(report["iterations"], minlength=LARGEST + 1).astype(np.int64)
+    return made.kind, np.bincount(report["iterations"], minlength=LARGEST + 1).astype(np.int64), failed.tolist()
 
 
 def solve_piece(task: Task) -> Record:
-    """Return the iterations and failures of a piece of `PIECE` groups, by kind.
+    """Return the iterations by kind and the failures (group, problem) of a piece of `PIECE` groups.
 
     Args:
         task: contacts, joints, number of problems of a group, and index of the piece.
     """
     contacts, joints, each, piece = task
     seen = {kind: np.zeros(LARGEST + 1, dtype=np.int64) for kind in KINDS}
-    failures = Failures()
+    failed: list[tuple[int, int]] = []
     for index in range(piece * PIECE, (piece + 1) * PIECE):
-        kind, counts = solve_group((contacts, joints, each, index), failures)
+        kind, counts, rows = solve_group((contacts, joints, each, index))
         seen[kind] += counts
+        failed += [(index, i) for i in rows]
     iterations = {kind: np.trim_zeros(counts, "b").tolist() for kind, counts in seen.items()}
-    return {"iterations": iterations, "failures": asdict(failures)}
+    return {"iterations": iterations, "failed": failed}
 
 
 def tasks_of(contacts: int, joints: int, count: int) -> list[Task]:
@@ -262,18 +276,16 @@ def row(contacts: int, joints: int, records: list[Record]) -> tuple[str, ...]:
 
 
 def failures_row(contacts: int, joints: int, records: list[Record]) -> tuple[str, ...]:
-    """Return the row of the failures of one size.
+    """Return the row of the failures of one size, which are solved again.
 
     Args:
         contacts: number of contacts.
         joints: number of joints of each finger.
         records: records of its pieces.
     """
-    found = [Failures(**record["failures"]) for record in records]
-    count, steps, clarabel, unsolved = (
-        str(sum(getattr(one, name) for one in found)) for name in ("count", "by_steps", "by_clarabel", "unsolved")
-    )
-    most = str(max(one.most_steps for one in found))
+    found = solve_again(itertools.chain.from_iterable(recorded_failures(record["task"], record) for record in records))
+    count, steps, clarabel, unsolved = map(str, (found.count, found.by_steps, found.by_clarabel, found.unsolved))
+    most = str(found.most_steps)
     first = problem(group(contacts, joints, 1, 0), 0)
     bound = str(KernelSession(first, SolverSettings()).short_step_bound(compiled_kernel.SHORT_STEP_REDUCTION))
     return (str(contacts), str(joints), count, steps, most, bound, clarabel, unsolved)

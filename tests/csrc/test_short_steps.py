@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import subprocess
@@ -13,6 +14,7 @@ from support.c_controllers import COMPILER, SOURCES
 from support.random_problems import random_problem
 
 import graspforce as gf
+from benchmarks import iterations
 from graspforce.core.errors import InvalidInput
 from graspforce.force.backends.compiled_kernel import is_available
 from graspforce.force.backends.protocol import SolverSettings
@@ -114,6 +116,21 @@ def test_kernel_alone_certifies_soft_contacts_with_least_normal_forces(name: str
         assert certify_infeasibility(problem, solution.multipliers).certificate.verified
     else:
         assert certify(problem, solution.f, solution.multipliers).is_tight
+
+
+@needs_kernel
+@pytest.mark.parametrize(("contacts", "joints"), iterations.SIZES)
+def test_short_steps_solve_the_failures_of_the_first_path(contacts: int, joints: int) -> None:
+    """They are those of some 10⁷ solves, with limits within 1e-6 of feasible forces."""
+    records = [json.loads(line) for line in iterations.RECORDS.read_text().splitlines()]
+    own = [record for record in records if record["task"][:2] == [contacts, joints]]
+    failed = [one for record in own for one in iterations.recorded_failures(record["task"], record)]
+    assert len(failed) == sum(len(record["failed"]) for record in own) > 0
+    for problem in failed:
+        session = KernelSession(problem, SolverSettings())
+        solution = session.solve()
+        assert iterations.is_certified(problem, solution)
+        assert solution.iterations <= 60 + session.short_step_bound(1e-24)
 
 
 @needs_kernel
