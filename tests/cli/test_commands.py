@@ -285,7 +285,21 @@ def test_reports_fit_the_terminal_width(name: str, width: str, run: Any, monkeyp
 
 @pytest.mark.parametrize(
     "arguments",
-    [("solve", "-"), ("problems", "list", "textbook"), ("problems",), ("hands", "show", "dlr_hit2"), ("hands",), ("backends",)],
+    [
+        ("solve", "-"),
+        ("problems", "list", "textbook"),
+        ("problems",),
+        ("hands", "show", "dlr_hit2"),
+        ("hands",),
+        ("backends",),
+        ("explain", "-"),
+        ("quality", "-"),
+        ("hands", "lint", "four_finger", "--samples", "0"),
+        ("grasp", "--hand", "four_finger"),
+        ("simulate", "--duration", "0.02"),
+        ("plan", "--hand", "four_finger", "--to=0,0,0.002", "--intervals", "20"),
+        ("hands", "reach", "four_finger", "--samples", "20"),
+    ],
 )
 def test_output_off_a_terminal_does_not_depend_on_its_width(
     arguments: tuple[str, ...], run: Any, monkeypatch: pytest.MonkeyPatch
@@ -295,9 +309,10 @@ def test_output_off_a_terminal_does_not_depend_on_its_width(
     texts = []
     for width in ("40", "200"):
         monkeypatch.setenv("COLUMNS", width)
-        texts.append(run(*arguments, stdin=problems.text("soft/slender-margin-3"))[1])
+        lines = run(*arguments, stdin=problems.text("soft/slender-margin-3"))[1].splitlines(keepends=True)
+        texts.append("".join(line for line in lines if "planning time" not in line))
     assert texts[0] == texts[1]
-    assert max(map(len, texts[0].splitlines())) > 40
+    assert max(map(len, texts[0].splitlines())) > 40 or arguments[:2] == ("hands", "lint")  # one line of text
     assert "…" not in texts[0].replace(" … ", "")
 
 

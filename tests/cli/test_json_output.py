@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 import typer
+from support.allegro_grasp import PALM_UP, three_finger_grasp
+from support.hands import load
 from support.servers import ANY_LOCAL_PORT
+from support.simulated_runs import start_of
 
-from graspforce import problems
+from graspforce import ObjectController, problems
 from graspforce.cli import app, main
 from graspforce.cli.console import ERROR, INFEASIBLE, SUCCESS
 from graspforce.service import Server
+from graspforce.simulation import Plant, build_scene, constant_reference, simulate
 
 NOT_A_RESULT = {"problems show", "hands schema", "ask"}  # these print JSON without the option
 SHORT = ["--duration", "0.02"]
@@ -61,6 +69,8 @@ CASES = [
     (["plan", "--hand", "four_finger", "--to=0,0,0.002", "--intervals", "20"], "duration", SUCCESS),
     (["plan", "--hand", "four_finger", "--to=0,0.03,0.3"], "reason", INFEASIBLE),
     (["demo", "--steps", "5", "--plot", "{folder}/carry.png"], "certified_fraction", SUCCESS),
+    (["problems", "export", "{folder}/package", "--collection", "opposed"], "folder", SUCCESS),
+    (["hands", "new", "{urdf}", "-o", "{folder}/own.json"], "file", SUCCESS),
     (["secure", "init", "{folder}/keys"], "directory", SUCCESS),
 ]
 
@@ -72,11 +82,60 @@ def test_results_are_one_record(arguments, field, code, tmp_path, capsys):
     for name, case in (("problem", "ring/3-force"), ("infeasible", "opposed/point-moment")):
         (tmp_path / f"{name}.json").write_text(problems.text(case))
     names = {"problem": tmp_path / "problem.json", "infeasible": tmp_path / "infeasible.json", "folder": tmp_path}
+    names["urdf"] = load("dlr_hit2").urdf_path
     ended = main([*(word.format(**names) for word in arguments), "--json"])
     record = json.loads(capsys.readouterr().out)
     assert field in record
     if code is not None:
         assert ended == code
+
+
+def test_changes_of_certificates_are_one_record(tmp_path, capsys):
+    folder = str(tmp_path / "keys")
+    assert main(["secure", "init", folder]) == SUCCESS
+    capsys.readouterr()
+    for command in (["add", folder, "arm"], ["renew", folder], ["rotate", folder]):
+        assert main(["secure", *command, "--json"]) == SUCCESS
+        assert json.loads(capsys.readouterr().out), command
+
+
+def test_addresses_of_a_server_and_a_view_are_one_record(tmp_path):
+    """Both run until a signal; the record is complete as soon as they serve."""
+    grasp = three_finger_grasp()
+    motion = constant_reference(start_of(grasp))
+    simulate(Plant(build_scene(grasp, gravity_H=PALM_UP)), ObjectController(grasp), motion, 0.02).save(tmp_path / "run.npz")
+    for command, field in ((["serve", "--listen", ANY_LOCAL_PORT], "addresses"), (["view", str(tmp_path / "run.npz")], "url")):
+        words = [sys.executable, "-u", "-m", "graspforce", *command, "--json"]
+        with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+            text = ""
+            while not text.rstrip().endswith("}"):
+                line = process.stdout.readline()
+                assert line, (command, text)
+                text += line
+            process.send_signal(signal.SIGINT)
+            assert process.wait(60.0) == SUCCESS, command
+        assert field in json.loads(text)
+
+
+ELSEWHERE = {
+    "cycle": "cli/test_run_cycle.py",
+    "glove calibrate": "cli/test_glove.py",
+    "hands identify": "cli/test_commands.py",
+    "regrasp": "cli/test_run_regrasp.py",
+    "replay": "service/test_recording.py",
+    "watch": "service/test_watch.py",
+}  # files of tests that parse the output of a command
+HERE = {"top", "serve", "view", "secure add", "secure renew", "secure rotate"}  # tests above without `CASES`
+
+
+def test_the_output_of_every_command_is_parsed():
+    tested = {name for name in commands() for arguments, *_ in CASES if arguments[: len(name.split())] == name.split()}
+    for name, file in ELSEWHERE.items():
+        text = (Path(__file__).parents[1] / file).read_text()
+        assert '"--json"' in text, file
+        assert "json.loads" in text, file
+        assert name.split()[-1] in text, file
+    assert set(commands()) - NOT_A_RESULT == tested | HERE | set(ELSEWHERE)
 
 
 def test_readings_of_a_server_are_one_record(capsys):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from graspforce.cli import main, run_cycle
@@ -20,6 +22,8 @@ def test_cycle_prints_phases_and_outcome(monkeypatch, capsys, tmp_path):
     text = capsys.readouterr().out
     assert all(name in text for name in ("approach", "squeeze", "release", "done"))
     assert (tmp_path / "cycle.png").stat().st_size > 0
+    assert main(["cycle", *arguments[:6], "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)
 
 
 @pytest.mark.parametrize(

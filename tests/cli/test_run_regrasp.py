@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 from support.regrasp_plans import plan_with_one_step
 
@@ -37,8 +39,8 @@ def test_failed_search_gives_its_reason_and_exit_code_1(monkeypatch, capsys):
 def test_goal_pose_is_searched_on_any_path(monkeypatch, capsys):
     goals = []
     monkeypatch.setattr(run_regrasp, "plan_regrasp_to", lambda goal, *_: goals.append(goal) or plan_with_one_step())
-    assert main([*SHORT, "--to=0,0,0.001", "--turn=0,0,0.1", "--friction-uncertainty", "0.1"]) == 0
-    assert "complete" in capsys.readouterr().out
+    assert main([*SHORT, "--to=0,0,0.001", "--turn=0,0,0.1", "--friction-uncertainty", "0.1", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)
     (goal,) = goals
     assert goal.p_HO - goal.grasp.p_HO == pytest.approx([0.0, 0.0, 0.001])
     assert goal.turn == pytest.approx([0.0, 0.0, 0.1])
