@@ -19,6 +19,8 @@ from graspforce.planning.regrasp.contact_candidates import closest_places
 from graspforce.planning.regrasp.tip_paths import follow_tip
 
 HEIGHTS = (0.006, 0.003, 0.012, 0.025)  # m above the surface, tried in this order
+_PROJECTIONS = 4  # onto the surface at the height, each with points that are spaced evenly anew
+_HEIGHT_TOLERANCE = 2e-4  # m
 _POINTS = 24  # places of the tip between lift and arrival, before they are spaced evenly
 _SPACING = 0.003  # m: largest distance of the tip from posture to posture
 _FEWEST, _MOST = 12, 60  # postures of a step
@@ -56,24 +58,11 @@ class FingerStepPlanner:
             after: contact at the end, in O.
         """
         for height in HEIGHTS:
-            tips = self._tip_positions(finger, before, after, height)
+            tips = tip_positions(self._shape, self._hand.finger(finger).tip_radius or 0.0, (before, after), height)
             postures = self._postures(finger, q, motion.p_HO + tips @ motion.R_HO.T)
             if postures is not None and self._is_free(finger, postures, motion, height):
                 return postures
         return None
-
-    def _tip_positions(self, finger: str, before: Contact, after: Contact, height: float) -> Array:
-        """Return evenly spaced positions of the tip in O, (K, 3), m."""
-        radius = self._hand.finger(finger).tip_radius or 0.0  # m
-        ends = [contact.position - (radius + h) * contact.normal for contact in (before, after) for h in (0.0, height)]
-        start, above_start, end, above_end = ends
-        shares = np.linspace(0.0, 1.0, _POINTS)[:, None]
-        between = (1.0 - shares) * above_start + shares * above_end
-        low = self._shape.phi(between) < radius + height
-        if low.any():
-            surface, normals = closest_places(self._shape, between[low])
-            between[low] = surface - (radius + height) * normals
-        return _space_evenly(np.vstack([start, between, end]))
 
     def _postures(self, finger: str, q: Array, tips_H: Array) -> Array | None:
         """Return postures with the tip at positions in H, (K, n), rad; None if it jumps, rests or does not reach them."""
@@ -104,14 +93,46 @@ def _space_evenly(corners: Array) -> Array:
     Args:
         corners: (M, 3) corners of the polyline.
     """
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])  # m
-    count = int(np.clip(np.ceil(along[-1] / _SPACING) + 1, _FEWEST, _MOST))
-    even = np.stack([np.interp(np.linspace(0.0, along[-1], count), along, column) for column in corners.T], axis=1)
+    length = float(np.linalg.norm(np.diff(corners, axis=0), axis=1).sum())  # m
+    even = _evenly(corners, int(np.clip(np.ceil(length / _SPACING) + 1, _FEWEST, _MOST)))
     reach = len(_ROUNDING) // 2
     before = 2.0 * even[0] - even[reach:0:-1]  # reflected at the ends, which therefore stay
     after = 2.0 * even[-1] - even[-2 : -reach - 2 : -1]
     padded = np.vstack([before, even, after])
     return np.stack([np.convolve(column, _ROUNDING, mode="valid") for column in padded.T], axis=1)
+
+
+def tip_positions(shape: Shape, radius: float, contacts: tuple[Contact, Contact], height: float) -> Array:
+    """Return evenly spaced positions of a tip that leaves one contact and arrives at another, in O, (K, 3), m.
+
+    The tip goes straight where it stays above the surface, and otherwise along the surface at its height.
+
+    Args:
+        shape: surface of the object.
+        radius: of the tip, m.
+        contacts: at the start and at the end, in O.
+        height: of the tip above the surface, m.
+    """
+    ends = [contact.position - (radius + h) * contact.normal for contact in contacts for h in (0.0, height)]
+    start, above_start, end, above_end = ends
+    shares = np.linspace(0.0, 1.0, _POINTS)[:, None]
+    between = (1.0 - shares) * above_start + shares * above_end
+    for _ in range(_PROJECTIONS):
+        distance = shape.phi(between)
+        low = np.flatnonzero(distance < radius + height - _HEIGHT_TOLERANCE)
+        if not len(low):
+            break
+        surface, towards = closest_places(shape, between[low])
+        inward = np.where(distance[low, None] < 0.0, -towards, towards)
+        between[low] = surface - (radius + height) * inward
+        between = _evenly(between, _POINTS)  # an edge between two points leaves a gap
+    return _space_evenly(np.vstack([start, between, end]))
+
+
+def _evenly(corners: Array, count: int) -> Array:
+    """Return evenly spaced points along a polyline with the same ends, (count, 3)."""
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])  # m
+    return np.stack([np.interp(np.linspace(0.0, along[-1], count), along, column) for column in corners.T], axis=1)
 
 
 def step_duration(hand: Hand, postures: Array, joint_rate: Array, torque_rate: float) -> float:

@@ -2,36 +2,38 @@
 
 A node is a pose of the object with the contacts of its fingers. Its edges are steps of single fingers while the others hold,
 followed by a move of the object as far as every finger can follow and forces hold it. The search extends the node that is
-farthest along the path, less a share for each time that it was extended before. Fingers step to places that allow a long
-travel of the object and let the other fingers step later; among the best places one is drawn at random.
+farthest along the path, less a share for each time that it was extended before. At first each finger steps to a place that
+allows a long travel of the object and lets the other fingers step later; among the best places one is drawn at random. Where
+this fails, sequences of steps are searched in the graph of grasps at one pose; see `step_graph`.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
 
-from graspforce.contact.contact import ContactSet
-from graspforce.core.arrays import Array, freeze
-from graspforce.grasp.collision.scene_collision import SceneCollision
+from graspforce.core.arrays import Array
 from graspforce.hand.collision import LinkGap
-from graspforce.planning.regrasp.contact_candidates import WIDE_CLEARANCE, Candidate, CandidateOptions, ContactCandidates
-from graspforce.planning.regrasp.finger_step import FingerStepPlanner, step_duration
-from graspforce.planning.regrasp.holding import HoldingMargin
+from graspforce.planning.regrasp.contact_candidates import WIDE_CLEARANCE, Candidate
 from graspforce.planning.regrasp.records import FingerStage, ObjectStage, RegraspSettings, RegraspTask, Stage
-from graspforce.planning.regrasp.rolling_motion import HeldObject, RollingMotion
+from graspforce.planning.regrasp.rolling_motion import HeldObject
+from graspforce.planning.regrasp.step_graph import StepGraph
+from graspforce.planning.regrasp.step_tools import StepTools
 
 _AT_END = 1e-9  # of the path parameter
 _CHECK_EVERY = 3  # steps of the rolling motion between checks of forces
 _LEAST_PROGRESS = 0.05  # rad: a round of finger steps must move the object at least by this much
 _RETREAT = 0.3  # rad: fingers step at most this far before the end of a move
+_WIDE_RETREAT = 0.6  # rad: the same for sequences out of the graph of grasps
+_TRAVEL_SHARES = (1.0, 0.5, 0.25)  # of the wanted travel, which every finger has after such a sequence
+_SEQUENCES = 6  # that are tried at a state
 _FATIGUE = 0.1  # rad by which a node counts as less far for each time that it was extended
 _CLEARANCE_WEIGHT = 0.5  # of a wide clearance, against the whole travel
-_COARSE = 0.06  # rad: step of the rolling motion that estimates how far a finger can follow
 _PEAK = 1.875  # largest rate of the rise with least jerk, divided by its mean
 _MIN_DURATION = 0.25  # s
 
@@ -110,21 +112,10 @@ class RegraspSearch:
     """
 
     def __init__(self, task: RegraspTask, settings: RegraspSettings, callback: RegraspCallback | None = None) -> None:
-        grasp, shape = task.grasp, task.shape
-        hand = grasp.hand
         self._task, self._settings, self._callback = task, settings, callback
-        self._hand, self._path = hand, task.path
-        self._least = settings.least_margin(task.control)
-        self._scene, self._own_scenes = None, dict[str, SceneCollision]()
-        if task.collisions is not None:
-            self._scene = SceneCollision(hand, shape, grasp.fingers, task.collisions)
-            self._own_scenes = {name: self._scene.of_finger(name) for name in grasp.fingers}
-        self._rolling = RollingMotion(hand, shape, task.path)
-        self._holding = HoldingMargin(hand, grasp.body, task.path, task.control, 2.0 * self._least)
-        options = CandidateOptions(settings.spacing, self._scene)
-        self._places = ContactCandidates(hand, shape, grasp.fingers, grasp.contacts.contacts, options)
-        self._steps = FingerStepPlanner(hand, shape, self._scene)
-        self._rng = np.random.default_rng(settings.seed)
+        self._hand, self._path = task.grasp.hand, task.path
+        self._tools = StepTools(task, settings, self._count_step)
+        self._least, self._scene, self._rng = self._tools.least, self._tools.scene, self._tools.rng
         self._started, self._tried = 0.0, 0
         self.farthest, self.obstacle = 0.0, ""
 
@@ -167,11 +158,11 @@ class RegraspSearch:
         Returns:
             The states, their slip margins, N, and the fingers that would collide next.
         """
-        run = self._rolling.roll(state, self._path.next_knot(state.u))
+        run = self._tools.rolling.roll(state, self._path.next_knot(state.u))
         margins = np.full(len(run), np.inf)
         for k in range(len(run)):
             if k % _CHECK_EVERY == 0 or k == len(run) - 1:
-                margins[k] = self._holding.find(run[k])
+                margins[k] = self._tools.holding.find(run[k])
                 if margins[k] < self._least:
                     self.obstacle = "no forces keep the slip margin"
                     return run[: max(k - _CHECK_EVERY, 0) + 1], margins[: max(k - _CHECK_EVERY, 0) + 1], ()
@@ -208,13 +199,14 @@ class RegraspSearch:
     def _extend(self, node: _Node) -> _Node | None:
         """Return the node after a round of finger steps and a move of the object; None if the object gains nothing."""
         self._check_budget()
-        early = [k for k, state in enumerate(node.run) if state.u >= node.u - _RETREAT]
-        left = early[-1] if node.expansions == 1 else int(self._rng.choice(early))
+        if node.expansions % 2 == 0:
+            return self._extend_by_graph(node)
+        left = self._leave(node, _RETREAT)
         at, moved = node.run[left], set[str]()
         steps: list[FingerStage] = []
         wanted = min(self._settings.advance, self._path.length - at.u)
         while True:
-            travels = {name: self._travel(at, name, wanted) for name in at.fingers if name not in moved}
+            travels = {name: self._tools.travel(at, name, wanted) for name in at.fingers if name not in moved}
             short = [name for name in travels if travels[name] < wanted - _AT_END]
             order = [name for name in node.blocking if name in travels]
             order += sorted((name for name in short if name not in order), key=travels.__getitem__)
@@ -232,40 +224,39 @@ class RegraspSearch:
             steps.append(stage)
             at = stage.end
             moved = {stage.finger for stage in steps}
-        if not steps:
-            return None
+        return self._node_after(node, left, steps) if steps else None
+
+    def _extend_by_graph(self, node: _Node) -> _Node | None:
+        """Return the node after a sequence of finger steps out of the graph of grasps at one pose; None if there is none."""
+        left = self._leave(node, _WIDE_RETREAT)
+        at = node.run[left]
+        wanted = float(self._rng.choice(_TRAVEL_SHARES)) * min(self._settings.advance, self._path.length - at.u)
+        for steps in islice(StepGraph(self._tools, at, wanted).sequences(), _SEQUENCES):
+            after = self._node_after(node, left, steps)
+            if after is not None:
+                return after
+        return None
+
+    def _leave(self, node: _Node, retreat: float) -> int:
+        """Return the index of the state in which fingers step: the last one first, later any of the last ones."""
+        early = [k for k, state in enumerate(node.run) if state.u >= node.u - retreat]
+        return early[-1] if node.expansions == 1 else int(self._rng.choice(early))
+
+    def _node_after(self, node: _Node, left: int, steps: list[FingerStage]) -> _Node | None:
+        """Return the node after finger steps and a move of the object; None if the object gains nothing."""
+        at = steps[-1].end
         run, margins, blocking = self._advance(at)
         if run[-1].u < max(at.u + _LEAST_PROGRESS, min(node.u + _LEAST_PROGRESS, self._path.length - _AT_END)):
             return None
         return _Node(node, left, steps, run, margins, blocking)
 
-    def _travel(self, at: HeldObject, finger: str, wanted: float) -> float:
-        """Return how far a finger can follow along the path, clear of object and palm; at most the wanted distance."""
-        run = self._rolling.roll(at.only([finger]), at.u + wanted, _COARSE)
-        if self._scene is not None:
-            run = self._free_part(run, self._own_scenes[finger])
-        return run[-1].u - at.u
-
-    def _free_part(self, run: list[HeldObject], scene: SceneCollision) -> list[HeldObject]:
-        """Return the states of a run before the first collision in a scene, at least one."""
-        motions = [self._path.motion(state.u) for state in run]
-        q = np.array([state.q for state in run])
-        p, R = np.array([motion.p_HO for motion in motions]), np.array([motion.R_HO for motion in motions])
-        count = len(run)
-        while count > 1:
-            along = scene.least_gap_along(q[:count], p[:count], R[:count])
-            if along is None or along.gap.distance >= scene.margin:
-                break
-            count = max(along.instant, 1)
-        return run[:count]
-
     def _step_somewhere(self, at: HeldObject, finger: str, wanted: float) -> FingerStage | None:
         """Return the step of a finger to one of its best places; None if it cannot step."""
-        if self._holding.find_without(at, finger) < self._least:
+        if self._tools.holding.find_without(at, finger) < self._least:
             return None
         ranked = self._rank(at, finger, wanted)[: self._settings.branches]
         for k in self._rng.permutation(len(ranked)):
-            stage = self._step(at, finger, ranked[k])
+            stage = self._tools.step(at, finger, ranked[k].candidate)
             if stage is not None:
                 return stage
         return None
@@ -274,49 +265,23 @@ class RegraspSearch:
         """Return places for a finger, the best first."""
         others = [name for name in at.fingers if name != finger]
         motion = self._path.motion(at.u)
-        found = self._places.find(finger, motion, at.q, others, self._settings.candidates, self._rng)
+        found = self._tools.places.find(finger, motion, at.q, others, self._settings.candidates, self._rng)
         ranked = []
         for candidate in found:
-            state = self._state_after(at, finger, candidate, candidate.q)
-            clearance = min(self._clearance(state), candidate.clearance)
-            if self._holding.find(state) < self._least or clearance < 0.0:
+            state = self._tools.state_after(at, finger, candidate, candidate.q)
+            clearance = min(self._tools.clearance(state), candidate.clearance)
+            if self._tools.holding.find(state) < self._least or clearance < 0.0:
                 continue
-            travel = self._travel(state, finger, wanted) / wanted
-            free = np.mean([min(self._holding.find_without(state, name) / self._least, 1.5) for name in others])
+            travel = self._tools.travel(state, finger, wanted) / wanted
+            free = np.mean([min(self._tools.holding.find_without(state, name) / self._least, 1.5) for name in others])
             score = travel + float(free) + _CLEARANCE_WEIGHT * clearance / WIDE_CLEARANCE
             ranked.append(_Ranked(score, candidate, state))
         return sorted(ranked, key=lambda each: -each.score)
 
-    def _clearance(self, state: HeldObject) -> float:
-        """Return the clearance of all bodies beyond their margin, m, at most `WIDE_CLEARANCE`; negative if two are too near."""
-        motion = self._path.motion(state.u)
-        gap = None if self._scene is None else self._scene.least_gap(state.q, motion.p_HO, motion.R_HO)
-        return WIDE_CLEARANCE if self._scene is None or gap is None else min(gap.distance - self._scene.margin, WIDE_CLEARANCE)
-
-    def _state_after(self, at: HeldObject, finger: str, candidate: Candidate, q_finger: Array) -> HeldObject:
-        """Return the state after a step of a finger."""
-        q = np.array(at.q)
-        q[list(self._hand.finger(finger).joints)] = q_finger
-        contacts = list(at.contacts.contacts)
-        contacts[at.fingers.index(finger)] = candidate.contact
-        return replace(at, q=freeze(q), contacts=ContactSet.stack(contacts))
-
-    def _step(self, at: HeldObject, finger: str, ranked: _Ranked) -> FingerStage | None:
-        """Return the step of a finger to a place; None if there is no motion, or no forces at its end."""
+    def _count_step(self) -> None:
+        """Count a step that is tried."""
         self._tried += 1
         self._check_budget()
-        before = at.contacts.contacts[at.fingers.index(finger)]
-        motion, candidate = self._path.motion(at.u), ranked.candidate
-        postures = self._steps.plan(finger, motion, at.q, before, candidate.contact)
-        if postures is None:
-            return None
-        end = self._state_after(at, finger, candidate, postures[-1][list(self._hand.finger(finger).joints)])
-        margin = min(self._holding.find(end), self._holding.find_without(at, finger))
-        if margin < self._least:
-            return None
-        limit = np.minimum(0.5 * self._hand.velocity_limit, self._settings.joint_rate)  # rad/s
-        duration = step_duration(self._hand, postures, limit, self._settings.torque_rate)
-        return FingerStage(finger, candidate.contact, postures, end, duration, margin)
 
     def _check_budget(self) -> None:
         """Report the progress, and end the search if its budget is spent.

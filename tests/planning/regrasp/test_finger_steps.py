@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from support.regrasp_plans import finger_stage, start_state, turn_task
 
+from graspforce.contact.contact import Contact
+from graspforce.geometry import Box, Cylinder, Solid, Sphere
 from graspforce.geometry.minimum_jerk import minimum_jerk
 from graspforce.grasp.collision.scene_collision import SceneCollision
 from graspforce.hand.hand import Hand
 from graspforce.planning.path.paths import JointPath
 from graspforce.planning.regrasp.contact_candidates import CandidateOptions, ContactCandidates
-from graspforce.planning.regrasp.finger_step import FingerStepPlanner, step_duration
+from graspforce.planning.regrasp.finger_step import FingerStepPlanner, step_duration, tip_positions
 from graspforce.planning.regrasp.holding import HoldingMargin
 from graspforce.planning.regrasp.tip_paths import follow_tip, reach_places
 
@@ -61,6 +63,20 @@ def test_step_leaves_the_surface_and_moves_one_finger(name: str) -> None:
     assert along[200:301].min() > 0.0015
     others = [j for j in range(hand.n) if j not in joints]
     np.testing.assert_array_equal(stage.postures[:, others], np.tile(at.q[others], (len(stage.postures), 1)))
+
+
+@pytest.mark.parametrize("shape", [Box([0.05, 0.05, 0.08]), Sphere(0.03), Cylinder(0.03, 0.06)])
+@pytest.mark.parametrize("beside", [[0.012, -0.04, 0.02], [0.04, 0.01, 0.01], [-0.01, 0.04, -0.02]])
+def test_tip_keeps_its_height_on_the_way_to_any_side(shape: Solid, beside: list[float]) -> None:
+    """Also where the straight line between the ends goes through the object."""
+    radius, height = 0.008, 0.006  # m
+    places = [shape.project_to_surface(np.array(each)) for each in ([-0.005, -0.04, 0.01], beside)]  # m
+    contacts = [Contact(p, shape.inward_normal(p), 0.8) for p in places]
+    tips = tip_positions(shape, radius, (contacts[0], contacts[1]), height)
+    heights = shape.phi(tips) - radius
+    np.testing.assert_allclose(heights[[0, -1]], 0.0, atol=1e-6)
+    from_ends = np.linalg.norm(tips[:, None] - tips[[0, -1]], axis=2).min(axis=1)  # m
+    assert (heights > 0.3 * np.minimum(from_ends, height) - 1e-4).all()
 
 
 def test_step_to_the_same_place_is_refused() -> None:
