@@ -48,6 +48,7 @@ SCHEMA = "graspforce/grasp_search/1"
 HANDS = ("dlr_hit2", "allegro_right", "leap_right", "shadow_right", "four_finger")
 CLASSES = ("any", *(each.value for each in GraspClass))
 BUDGET, STOP = 3.0, 2.0  # s of processor time: allowed, and when the search is told to end
+LINK_STOP = 2.8  # s: the same for the classes power and lateral, whose candidates take less time
 MASS, FRICTION, PADS = 0.05, 0.6, 0.004  # kg; coefficient; m
 TOLERANCE = 1e-4  # m: largest penetration
 THUMB_CLASSES = ("palmar-pinch", "parallel-extension", "lateral")  # a thumb against several fingers, or the index finger's side
@@ -106,9 +107,8 @@ def run(path: Path, options: argparse.Namespace) -> None:
         path: the file.
         options: of the section.
     """
-    with ResultFile(
-        path, SCHEMA, {"mass": MASS, "friction": FRICTION, "pads": PADS, "budget": BUDGET, "stop": STOP}
-    ) as results:
+    conditions = {"mass": MASS, "friction": FRICTION, "pads": PADS, "budget": BUDGET, "stop": STOP, "link_stop": LINK_STOP}
+    with ResultFile(path, SCHEMA, conditions) as results:
         known = [SearchRecord(**record) for record in results.records if isinstance(record, dict)]
         done = {(each.hand, each.kind, each.name, each.grasp_class) for each in known}
         names = [(kind, k) for kind in _KINDS for k in range(options.objects)]
@@ -143,7 +143,7 @@ def _search(hand_name: str, kind: str, thing: tuple[str, Solid, list[Array]], gr
     start = time.process_time()
 
     def callback(_: GraspSearchProgress) -> bool:
-        return time.process_time() - start < STOP
+        return time.process_time() - start < (LINK_STOP if grasp_class in ENVELOPING_CLASSES else STOP)
 
     options = GraspSearchOptions(
         grasp_class=None if grasp_class == "any" else GraspClass(grasp_class), pad_friction=PADS, callback=callback

@@ -47,6 +47,7 @@ _TILT = 0.3  # rad, of the lateral class: of the approach to the index finger
 _FAR = 0.25  # m, from which the object approaches
 _APPROACH_STEP = 0.004  # m
 _SAME_POINT = 1e-3  # m: nearer contacts of one link count once
+_COINCIDENT = 1e-5  # m: the same of two links, which touch a corner of a mesh
 _TIE = 4.0 * GAP  # m: links this near touch
 
 
@@ -274,8 +275,8 @@ def _contacts(
             normal = sampler.shape.inward_normal(p)
         except InvalidInput:  # an edge
             continue
-        seen = (np.linalg.norm(p - each.position) for name, each in zip(links, contacts, strict=True) if name == body.name)
-        if any(distance < _SAME_POINT for distance in seen):
+        seen = zip(links, contacts, strict=True)
+        if any(np.linalg.norm(p - e.position) < (_SAME_POINT if name == body.name else _COINCIDENT) for name, e in seen):
             continue
         contact = Contact(p, normal, load.friction, max_normal=load.max_normal)
         if soft:
