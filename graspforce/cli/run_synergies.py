@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +28,6 @@ from graspforce.simulation.plants.scene import Scene
 from graspforce.simulation.rendering import CameraOptions, DisplayModel, FilmWriter, Overlay, SceneState, make_renderer
 from graspforce.simulation.rendering.film import ANIMATIONS
 from graspforce.simulation.rendering.marks import posture_state
-from graspforce.simulation.rendering.overlay import COVERED
 
 _BALL, _MASS = 0.03, 0.05  # m, kg: the scene of a hand needs an object, which the film does not show
 _SHOWN = 10  # components in the table
@@ -134,7 +133,8 @@ def _film(hand: Hand, synergies: Synergies, options: SynergiesOptions, console: 
     files, form = options.files, options.files.film
     writer = FilmWriter(files.video, files.frames, form.rate, form.width)
     scene = build_scene(find_grasp(hand, Body.solid(Sphere(_BALL), _MASS), gravity_H=GRAVITY_PALM_UP))
-    camera = form.camera(CameraOptions(covered=COVERED))
+    width, height = form.size  # no contacts: the picture takes the whole frame
+    camera = replace(form.camera(CameraOptions()), aspect=width / height)
     display = DisplayModel(scene, camera=camera, shows_object=False)
     renderer = make_renderer(display, *form.size)
     console.print(f"Film: {renderer.description}.", soft_wrap=True)

@@ -93,7 +93,7 @@ class Overlay:
         margin, line = self._pixels(_MARGIN), self._pixels(1.35 * self._medium)
         text = status if isinstance(status, str) else f"tracking error {_length(status)}"
         time = f"t = {state.t:.{self._digits}f} s"
-        lines = [self._subtitle, time if self._is_compact else f"{time}, {text}"]
+        lines = [self._subtitle, f"{time}, {text}" if text and (isinstance(status, str) or not self._is_compact) else time]
         title, size = self._fitted_title(draw, margin)
         below = margin + self._pixels(1.4 * self._large)
         widths = [draw.textlength(title, self._fonts[size, True])]
