@@ -78,12 +78,12 @@ def show(
         MissingLibrary: viser is not installed.
     """
     playback = Playback(scene, source, address)
-    console.print(f"View: [bold]{playback.url}[/] (Ctrl-C ends it)", soft_wrap=True)
-    if isinstance(source, Recording):
-        put_result(console, {"url": playback.url})
-    if opens_page:
-        webbrowser.open(playback.url)
     try:
+        console.print(f"View: [bold]{playback.url}[/] (Ctrl-C ends it)", soft_wrap=True)
+        if isinstance(source, Recording):
+            put_result(console, {"url": playback.url})
+        if opens_page:
+            webbrowser.open(playback.url)
         playback.run(duration)
     except KeyboardInterrupt:
         pass

@@ -6,6 +6,7 @@ import json
 import signal
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -106,14 +107,18 @@ def test_addresses_of_a_server_and_a_view_are_one_record(tmp_path):
     simulate(Plant(build_scene(grasp, gravity_H=PALM_UP)), ObjectController(grasp), motion, 0.02).save(tmp_path / "run.npz")
     for command, field in ((["serve", "--listen", ANY_LOCAL_PORT], "addresses"), (["view", str(tmp_path / "run.npz")], "url")):
         words = [sys.executable, "-u", "-m", "graspforce", *command, "--json"]
-        with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
-            text = ""
-            while not text.rstrip().endswith("}"):
-                line = process.stdout.readline()
-                assert line, (command, text)
-                text += line
-            process.send_signal(signal.SIGINT)
-            assert process.wait(60.0) == SUCCESS, command
+        usual = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # a shell's background jobs ignore Ctrl-C
+        with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, preexec_fn=usual) as process:
+            try:
+                text = ""
+                while not text.rstrip().endswith("}"):
+                    line = process.stdout.readline()
+                    assert line, (command, text)
+                    text += line
+                process.send_signal(signal.SIGINT)
+                assert process.wait(60.0) == SUCCESS, command
+            finally:
+                process.kill()
         assert field in json.loads(text)
 
 
