@@ -39,6 +39,7 @@ _DEFAULT_SETTINGS = SolverSettings()
 _LARGE_FORCE = 1e6  # force units: the size of forces for which the backends' tolerances are too coarse
 _OBJECTIVE_TOLERANCE = 1e-7  # of the gap relative to the objective
 _MAX_REFINEMENTS = 5
+_COST_UNITS = (1.0, 10.0, 0.1)  # times the cost, tried in this order in each refinement
 _WIDE_WEIGHTS = 1e4  # ratio of torque weights from which the optimal cost can be far below its unit
 _SHORTEST_TIME = 1e-9  # s: the time limit of a solver whose time is over
 _SUFFICIENT_REACH = 1e9  # force units: proofs that cover less leave room for a search with larger forces
@@ -330,11 +331,12 @@ def _refine_objective(solution: Solution, end: float = math.inf) -> Solution:
             gap = solution.objective_gap
             if gap is None or gap <= _OBJECTIVE_TOLERANCE or solution.objective is None:
                 break
-            optimum = find_small_optimum(problem, abs(solution.objective), solve_program)
-            if optimum is None:
-                break
-            refined = _with_forces(solution, *optimum)
-            if refined.objective_gap is None or refined.objective_gap >= gap or not refined.is_final:
+            for unit in _COST_UNITS:  # the solver's last digits depend on the unit
+                optimum = find_small_optimum(problem, unit * abs(solution.objective), solve_program)
+                refined = solution if optimum is None else _with_forces(solution, *optimum)
+                if refined.objective_gap is not None and refined.objective_gap < gap and refined.is_final:
+                    break
+            else:
                 break
             solution = refined
     return solution
