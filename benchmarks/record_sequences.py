@@ -7,6 +7,7 @@ and of the contacts, its friction, and the forces of its slip margin moved to th
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -75,6 +76,7 @@ RUNS = (
 
 def main() -> None:
     """Run all sequences, solve their problems, and write the file."""
+    argparse.ArgumentParser(prog="python -m benchmarks.record_sequences", description=__doc__).parse_args()
     lines = []
     for run in track(RUNS, description="closed-loop"):
         cases = [solve_record(record) for record in records(run)]

@@ -68,7 +68,7 @@ def test_unknown_collection_is_rejected_before_writing(benchmark, monkeypatch, c
     with pytest.raises(SystemExit) as ended:
         benchmark("write_collections").main()
     assert ended.value.code == 2
-    assert "unknown collection 'textbok'; known: hard, infeasible" in capsys.readouterr().err
+    assert "unknown collection 'textbok'; known: batch, hard, infeasible" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("last", "is_met"), [(0.0, True), (6.7e-9, True), (9e-9, False), (4e-7, False)])

@@ -60,9 +60,10 @@ def test_invalid_frames_are_refused(text, message, files, tmp_path, capsys):
     assert message in capsys.readouterr().err
 
 
-def test_postures_of_a_calibration_are_reachable(tmp_path):
+def test_postures_of_a_calibration_are_reachable(tmp_path, capsys):
     file = tmp_path / "postures.csv"
-    assert main(["glove", "postures", HAND.name, str(file), "--count", "12"]) == 0
+    assert main(["glove", "postures", HAND.name, str(file), "--count", "12", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"postures": 12, "file": str(file)}
     library, collision = PostureLibrary.load(file), HandCollision(HAND)
     assert (library.joints, len(library)) == (HAND.joint_names, 12)
     for q in library.q:

@@ -125,7 +125,13 @@ def test_addresses_of_a_server_and_a_view_are_one_record(tmp_path):
 ELSEWHERE = {
     "cycle": "cli/test_run_cycle.py",
     "glove calibrate": "cli/test_glove.py",
+    "glove postures": "cli/test_glove.py",
+    "glove stream": "cli/test_glove.py",
     "hands identify": "cli/test_commands.py",
+    "learn collect": "cli/test_learn.py",
+    "learn label": "cli/test_learn.py",
+    "learn similar": "cli/test_learn.py",
+    "learn synergies": "cli/test_learn.py",
     "regrasp": "cli/test_run_regrasp.py",
     "replay": "service/test_recording.py",
     "watch": "service/test_watch.py",

@@ -89,7 +89,8 @@ def test_a_simulated_run_is_labelled(tmp_path, capsys):
     labels = load_labels(tmp_path / "labels.csv")
     assert {each.finger for each in labels} == {finger.name for finger in HAND.fingers}
     assert {each.text for each in labels} == {"rest"}
-    assert main(["learn", "collect", run, str(tmp_path / "run.csv")]) == 0
+    assert main(["learn", "collect", run, str(tmp_path / "run.csv"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["postures"] == 1
     library = PostureLibrary.load(tmp_path / "run.csv")
     assert (library.joints, len(library)) == (HAND.joint_names, 1)  # the hand rests
     assert main(["learn", "label", run, "--record", str(tmp_path / "out.mcap")]) == 1

@@ -182,7 +182,8 @@ def test_names_load_their_cases() -> None:
 
 @pytest.mark.parametrize("name", ["nose-cone/7-force", "nose-cone", "", "../case", None, 5])
 def test_unknown_name_error_points_to_the_list(name: object) -> None:
-    with pytest.raises(UnknownName, match=r"problems list` prints all names; the collections are fixture, .*ring") as caught:
+    known = r"problems list` prints all names; the collections are batch, .*fixture, .*ring"
+    with pytest.raises(UnknownName, match=known) as caught:
         problems.load(name)  # type: ignore[arg-type]
     assert caught.value.value == name
 
@@ -190,7 +191,7 @@ def test_unknown_name_error_points_to_the_list(name: object) -> None:
 def test_unknown_name_error_suggests_close_names() -> None:
     with pytest.raises(UnknownName, match=r"one of .*nose-cone/5-force"):
         problems.load("nose-cone/7-force")
-    with pytest.raises(UnknownName, match="one of textbook, fixture, "):
+    with pytest.raises(UnknownName, match=r"one of textbook, batch, .*fixture, "):
         problems.names("nosecone")
 
 

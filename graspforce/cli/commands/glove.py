@@ -30,6 +30,7 @@ def postures(
     count: Annotated[int, typer.Option(metavar="N", help="Number of postures.")] = 60,
     seed: Seed = 0,
     force: Force = False,
+    as_json: AsJson = False,
 ) -> None:
     """Write the postures of a calibration: neutral, then random ones within the limits whose links do not touch."""
     from graspforce.cli.output_files import check_new_file
@@ -37,8 +38,9 @@ def postures(
     from graspforce.hand.hand import Hand
 
     check_new_file(file, "FILE", force)
-    calibration_postures(Hand.load(hand), count, seed).save(file)
-    print(f"Postures: {file}")
+    library = calibration_postures(Hand.load(hand), count, seed)
+    library.save(file)
+    print(json.dumps({"postures": len(library), "file": str(file)}) if as_json else f"Postures: {file}")
 
 
 @glove.command(

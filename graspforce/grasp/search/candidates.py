@@ -26,6 +26,8 @@ class GeometryRequirements:
         palm_point_H: (3,) point of the palm's surface in H, m.
         travel: distance by which the fingers can move the object both ways along each of their directions, m.
         side: approach direction, table and opposed fingers.
+        keeps_overlaps: whether candidates keep the distances of bodies that overlapped in earlier ones. It helps classes,
+            whose fingers are often close to one another.
     """
 
     clearance: float
@@ -34,6 +36,7 @@ class GeometryRequirements:
     palm_point_H: Array
     travel: float
     side: SideConditions = _NO_CONDITIONS
+    keeps_overlaps: bool = False
 
 
 @dataclass(frozen=True, eq=False, slots=True)

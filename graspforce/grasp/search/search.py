@@ -123,7 +123,9 @@ def find_grasp(
     hull = hull_points(shape)
     watch, side = _SearchWatch(options), _side_conditions(hull, options)
     for travel, descents, each_prior in searches:
-        requirements = GeometryRequirements(options.clearance, options.edge_ratio, palm_normal_H, p_HP, travel, side)
+        requirements = GeometryRequirements(
+            *(options.clearance, options.edge_ratio, palm_normal_H, p_HP, travel, side), options.grasp_class is not None
+        )
         goals = ([SearchGoal(hand, kinematics, shape, each, requirements, hull) for each in sets] for sets in finger_sets)
         refine_set = _refine_best if each_prior is None else partial(_refine_from_prior, prior=each_prior)
         best = _best_candidate(goals, load, np.random.default_rng(seed), descents, watch, refine_set)
@@ -189,7 +191,8 @@ def _refine_best(
 def _refined_results(starts: Sequence[tuple[SearchGoal, Candidates]], load: LoadRequirements) -> Iterator[CandidateResult]:
     """Yield the results of candidates. The first ones with overlaps are refined again without these at the end only.
 
-    Pairs of bodies that overlap in one candidate often do in the next: later ones keep their distances from the start.
+    Pairs of bodies that overlap in one candidate of a class often do in the next: later ones keep their distances from the
+    start.
     """
     overlapping: list[_Refined] = []
     known: dict[Pair, None] = {}  # pairs that overlapped in earlier candidates, in the order in which they were found
@@ -197,7 +200,8 @@ def _refined_results(starts: Sequence[tuple[SearchGoal, Candidates]], load: Load
         forbidden = set(goal.forbidden_pairs.pairs) if known else set()
         pairs = [pair for pair in known if pair in forbidden][:_KNOWN_OVERLAPS]
         each = _refined(goal.with_pairs(pairs) if pairs else goal, start, load)
-        known.update(dict.fromkeys(each.result.overlaps))
+        if goal.requirements.keeps_overlaps:
+            known.update(dict.fromkeys(each.result.overlaps))
         if each.result.overlaps and len(overlapping) >= _MANY_OVERLAPS:
             each = _without_overlaps(each, load)
         elif each.result.overlaps:
@@ -245,7 +249,7 @@ def _refined(goal: SearchGoal, one: Candidates, load: LoadRequirements) -> _Refi
         result = check_candidate(goal, one, load)
         if not 0.0 < result.penalty - 1.0 < _NEARLY_FEASIBLE:
             break
-        if result.overlaps:
+        if result.overlaps and goal.requirements.keeps_overlaps:
             goal = goal.with_pairs(result.overlaps)
     return _Refined(goal, one, result)
 
@@ -346,7 +350,9 @@ def _finger_sets(
 
 
 def _is_held_by_spin(hand: Hand, finger_sets: list[list[tuple[int, ...]]], options: GraspSearchOptions) -> bool:
-    """Return whether every set has a soft finger of fewer than four joints: it must spin on an object that it follows."""
+    """Return whether each set of a class, or of given pads, has a soft finger that cannot follow an object without spin."""
+    if options.grasp_class is None and options.pad_friction is None:
+        return False
     soft = [options.pad_friction is not None or finger.torsional_friction is not None for finger in hand.fingers]
     held = [is_soft and len(finger.joints) < _JOINTS_WITHOUT_SPIN for is_soft, finger in zip(soft, hand.fingers, strict=True)]
     return all(any(held[i] for i in each) for sets in finger_sets for each in sets)
