@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from graspforce.cli.commands.grasp_arguments import Fingers, Friction, HandName, Mass, ObjectName, Seed
-from graspforce.cli.commands.output_arguments import AsJson, FilmCamera, FilmRate, FilmSize, Force
+from graspforce.cli.commands.output_arguments import AsJson, FilmCamera, FilmFile, FilmFrames, FilmRate, FilmSize, Force
 from graspforce.core.optional_libraries import require_libraries
 
 app = typer.Typer()
@@ -51,10 +51,8 @@ def cycle(
         str | None, typer.Option(metavar="ENDPOINT", help="Run the controller in the service at this Zenoh endpoint.")
     ] = None,
     serve: Annotated[bool, typer.Option("--serve", help="Start a service, and run the controller in it.")] = False,
-    video: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a film: .mp4, .gif or .webp (needs no display).")
-    ] = None,
-    frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the frames of the film as PNG.")] = None,
+    video: FilmFile = None,
+    frames: FilmFrames = None,
     film_size: FilmSize = None,
     fps: FilmRate = None,
     film_camera: FilmCamera = None,

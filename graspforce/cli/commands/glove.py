@@ -9,7 +9,17 @@ from typing import Annotated
 import typer
 
 from graspforce.cli.commands.grasp_arguments import Fingers, Friction, Gravity, HandName, Mass, ObjectName, Seed
-from graspforce.cli.commands.output_arguments import AsJson, FilmCamera, FilmRate, FilmSize, Force
+from graspforce.cli.commands.output_arguments import (
+    AsJson,
+    FilmCamera,
+    FilmFile,
+    FilmRate,
+    FilmSize,
+    Force,
+    McapFile,
+    RunFile,
+    ViewKind,
+)
 from graspforce.core.errors import InvalidInput
 from graspforce.core.optional_libraries import require_libraries
 
@@ -140,20 +150,13 @@ def stream(
         str | None, typer.Option(metavar="ENDPOINT", help="Run the controller in the service at this Zenoh endpoint.")
     ] = None,
     serve: Annotated[bool, typer.Option("--serve", help="Start a service, and run the controller in it.")] = False,
-    view: Annotated[
-        str | None,
-        typer.Option(metavar="KIND", help="Show the run: window (MuJoCo's viewer), or browser (a web page with controls)."),
-    ] = None,
-    video: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a film: .mp4, .gif or .webp (needs no display).")
-    ] = None,
+    view: ViewKind = None,
+    video: FilmFile = None,
     film_size: FilmSize = None,
     fps: FilmRate = None,
     film_camera: FilmCamera = None,
-    save: Annotated[Path | None, typer.Option(metavar="FILE", help="Save the recording of all steps as .npz.")] = None,
-    record: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Save the run as .mcap, with the schemas of the Foxglove viewer.")
-    ] = None,
+    save: RunFile = None,
+    record: McapFile = None,
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:

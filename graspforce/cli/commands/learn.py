@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from graspforce.cli.commands.output_arguments import AsJson, FilmCamera, FilmRate, FilmSize, Force
+from graspforce.cli.commands.output_arguments import AsJson, FilmCamera, FilmFile, FilmFrames, FilmRate, FilmSize, Force
 from graspforce.cli.commands.recording_arguments import HandsInPlace
 from graspforce.cli.completions import complete_hand
 from graspforce.core.optional_libraries import require_libraries
@@ -76,10 +76,8 @@ def synergies(
     components: Annotated[int, typer.Option(metavar="N", help="Components in the film and the plots.")] = 2,
     span: Annotated[float, typer.Option(metavar="X", help="Amplitude of the film, standard deviations.")] = 2.0,
     duration: Annotated[float, typer.Option(metavar="S", help="Time of each component in the film, s.")] = 4.0,
-    video: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a film: .mp4, .gif or .webp (needs no display).")
-    ] = None,
-    frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the frames of the film as PNG.")] = None,
+    video: FilmFile = None,
+    frames: FilmFrames = None,
     film_size: FilmSize = None,
     fps: FilmRate = None,
     film_camera: FilmCamera = None,

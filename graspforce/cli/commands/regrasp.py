@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from graspforce.cli.commands.grasp_arguments import Fingers, Friction, Gravity, HandName, Mass, ObjectName, Seed
-from graspforce.cli.commands.output_arguments import AsJson, FilmCamera, FilmRate, FilmSize, Force
+from graspforce.cli.commands.output_arguments import AsJson, FilmCamera, FilmFile, FilmFrames, FilmRate, FilmSize, Force
 from graspforce.core.optional_libraries import require_libraries
 
 app = typer.Typer()
@@ -44,10 +44,8 @@ def regrasp(
     ] = 0.0,
     slip_margin: Annotated[float, typer.Option(metavar="N", help="Slip margin that the forces keep, N.")] = 0.3,
     budget: Annotated[float, typer.Option(metavar="S", help="Time after which the search ends, s.")] = 120.0,
-    video: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a film: .mp4, .gif or .webp (needs no display).")
-    ] = None,
-    frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the frames of the film as PNG.")] = None,
+    video: FilmFile = None,
+    frames: FilmFrames = None,
     film_size: FilmSize = None,
     fps: FilmRate = None,
     film_camera: FilmCamera = None,

@@ -18,7 +18,18 @@ from graspforce.cli.commands.grasp_arguments import (
     PadFriction,
     Seed,
 )
-from graspforce.cli.commands.output_arguments import AsJson, FilmCamera, FilmRate, FilmSize, Force
+from graspforce.cli.commands.output_arguments import (
+    AsJson,
+    FilmCamera,
+    FilmFile,
+    FilmFrames,
+    FilmRate,
+    FilmSize,
+    Force,
+    McapFile,
+    RunFile,
+    ViewKind,
+)
 from graspforce.core.errors import InvalidInput
 from graspforce.core.optional_libraries import require_libraries
 
@@ -79,21 +90,14 @@ def simulate(
     meshes: Annotated[
         list[Path] | None, typer.Option(metavar="DIR", help="Directory with the hand's meshes; repeatable.")
     ] = None,
-    view: Annotated[
-        str | None,
-        typer.Option(metavar="KIND", help="Show the run: window (MuJoCo's viewer), or browser (a web page with controls)."),
-    ] = None,
-    video: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a film: .mp4, .gif or .webp (needs no display).")
-    ] = None,
-    frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the frames of the film as PNG.")] = None,
+    view: ViewKind = None,
+    video: FilmFile = None,
+    frames: FilmFrames = None,
     film_size: FilmSize = None,
     fps: FilmRate = None,
     film_camera: FilmCamera = None,
-    save: Annotated[Path | None, typer.Option(metavar="FILE", help="Save the recording of all steps as .npz.")] = None,
-    record: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Save the run as .mcap, with the schemas of the Foxglove viewer.")
-    ] = None,
+    save: RunFile = None,
+    record: McapFile = None,
     plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Write plots of errors, forces and torques as PNG.")] = None,
     world: Annotated[
         str | None,
