@@ -2,7 +2,7 @@
 
 `graspforce.solve_many` labels the problems of the library, repeated, from one Parquet file to a folder of Parquet files, with
 one worker and with two workers of one thread each. Then one of two workers is killed when half of the parts are written.
-*Whole*: every row is there once. *CPU*: processor time of the workers per row, which other programs on the machine change less
+The runs with one worker and with a killed one can have fewer rows (`--short`). *Ratio* is that of the rates. *Whole*: every row is there once. *CPU*: processor time of the workers per row, which other programs on the machine change less
 than the rate. Workers import the package before the clock starts.
 """
 
@@ -106,12 +106,14 @@ def main() -> None:
     """Label with one worker, two workers, and two of which one is killed; print the table and write the page."""
     parser = report_page.parser("labelling", __doc__)
     parser.add_argument("--rows", type=int, default=20_000, help="number of problems (default: 20000)")
+    parser.add_argument("--short", type=int, help="number of problems of one worker and of the run with a kill (default: ROWS)")
     options = parser.parse_args()
-    rows, first = [], 0.0
+    rows, first, short = [], 0.0, options.short or options.rows
     with tempfile.TemporaryDirectory() as folder:
-        source = Path(folder) / "source.parquet"
-        write_source(source, options.rows)
-        for workers, killed in ((1, False), (2, False), (2, True)):
+        for workers, killed, count in ((1, False, short), (2, False, options.rows), (2, True, short)):
+            source = Path(folder) / f"{count}.parquet"
+            if not source.exists():
+                write_source(source, count)
             parts, elapsed, used, whole = label(source, workers, killed)
             rate = parts.rows / elapsed
             first = first or rate
