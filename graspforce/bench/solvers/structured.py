@@ -1,14 +1,22 @@
-"""The structured kernel of this project (`graspforce.force.backends.structured`). Its time includes packing its arrays."""
+"""The structured kernel of this project (`graspforce.force.backends.structured`). Its time includes packing its arrays.
+
+Robust cases run as in `RobustSession`: the kernel solves nominal problems with shifted forces, until their optimum holds for
+all errors. The session's fallback to Clarabel does not count. A case is unsupported if the shifted problems do not represent
+it, as with pyramids and the objective "max_normal". If more than two errors limit a contact, the kernel has no answer.
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
 from graspforce.bench.adapter import BoundSolver, SolverResult, SolverStatus
+from graspforce.core.arrays import Array
 from graspforce.core.errors import UnsupportedProblem
 from graspforce.force.backends import compiled_kernel, structured
 from graspforce.force.backends.protocol import SolverSettings
 from graspforce.force.cone_program import ConicProgram
+from graspforce.force.problem import ForceProblem
+from graspforce.force.robust_session import ShiftedProblem, is_supported
 from graspforce.force.solution import Solution
 from graspforce.force.status import Status
 
@@ -35,7 +43,7 @@ def bind(program: ConicProgram, settings: str) -> BoundSolver:
     """
     problem = program.problem
     if problem.uncertainty is not None:
-        raise UnsupportedProblem("the structured kernel solves one problem, not one for all errors")
+        return _bind_robust(problem)
 
     def run(start: Any) -> tuple[structured.KernelSession, Solution]:
         session = None if start is None else start[0]
@@ -48,5 +56,31 @@ def bind(program: ConicProgram, settings: str) -> BoundSolver:
         status = _STATUS.get(solution.status, SolverStatus.NO_ANSWER)
         f = solution.f if status is SolverStatus.SOLVED else None
         return SolverResult(status, f, solution.multipliers, solution.iterations)
+
+    return BoundSolver(run, read)
+
+
+def _bind_robust(problem: ForceProblem) -> BoundSolver:
+    """Bind a problem with errors of friction, load and normals.
+
+    Args:
+        problem: problem with an uncertainty.
+
+    Raises:
+        UnsupportedProblem: shifted problems do not represent this one.
+    """
+    if not is_supported(problem):
+        raise UnsupportedProblem("robust problems need exact cones and errors, and another objective than max_normal")
+    backend = structured.KernelBackend()
+    shifted = ShiftedProblem(problem)  # the maps of the errors, which the cone program of other solvers holds too
+
+    def run(start: Any) -> tuple[Array, Solution] | None:
+        return shifted.solve(problem, SolverSettings(), backend) if shifted.is_supplied else None
+
+    def read(raw: tuple[Array, Solution] | None) -> SolverResult:
+        if raw is None:
+            return SolverResult(SolverStatus.NO_ANSWER, None, None, 0)
+        f, solution = raw
+        return SolverResult(SolverStatus.SOLVED, f, None, solution.iterations)  # its multipliers are those of one error
 
     return BoundSolver(run, read)
