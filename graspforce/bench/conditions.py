@@ -37,7 +37,7 @@ def clock_sentence(clock: Mapping[str, Any]) -> str:
     """Return a sentence about the clock of one session of a race.
 
     Args:
-        clock: `clock_state` under "before" and "after".
+        clock: `clock_state` under "before" and "after", and the number of tasks at once under "workers".
     """
     before, after = clock["before"], clock["after"]
     governor = f"governor {before['governor']}" if before["governor"] else "governor not reported"

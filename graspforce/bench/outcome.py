@@ -1,11 +1,13 @@
 """Tasks and outcomes of a race, and the outcome file: a header line, then one JSON record per line.
 
-A record is an outcome, or ``{"clock": …}``, the clock rates before and after one session of the race.
+A record is an outcome, or ``{"clock": …}``, the clock rates before and after one session of the race. A file that ends in
+``.xz`` is compressed.
 """
 
 from __future__ import annotations
 
 import json
+import lzma
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -138,13 +140,14 @@ def load(path: Path) -> tuple[dict[str, Any], list[RaceOutcome]]:
     Raises:
         InvalidInput: the file is not an outcome file.
     """
-    lines = path.read_text(encoding="utf-8").split("\n")
     try:
+        stored = path.read_bytes()
+        lines = (lzma.decompress(stored) if path.suffix == ".xz" else stored).decode().split("\n")
         conditions = dict(json.loads(lines[0]))
         records = [json.loads(line) for line in lines[1:-1]]
         clocks = [record["clock"] for record in records if "clock" in record]
         outcomes = [RaceOutcome.from_dict(record) for record in records if "clock" not in record]
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, lzma.LZMAError):
         raise InvalidInput("file", str(path), "an outcome file, written by graspforce bench --save") from None
     if conditions.get("schema") not in (SCHEMA, *_OLDER_SCHEMAS):
         raise InvalidInput("schema", conditions.get("schema"), SCHEMA)

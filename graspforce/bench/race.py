@@ -1,4 +1,4 @@
-"""Select the tasks of a race and run them one after another, each solver in its own process. A saved race can be resumed."""
+"""Select the tasks of a race and run them, each solver in its own process. A saved race can be resumed."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ import os
 import platform
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import graspforce
 from graspforce import problems
 from graspforce.bench.adapter import TOLERANCE
+from graspforce.bench.blocks import order_in_blocks
+from graspforce.bench.case_sequences import SEQUENCE_COLLECTIONS, case_groups
 from graspforce.bench.cluster import run_tasks_on_cluster
 from graspforce.bench.conditions import clock_state, processor
+from graspforce.bench.local_workers import run_tasks_here
 from graspforce.bench.outcome import RaceOutcome, RaceTask, append, append_clock, drop_partial_line, load, write_header
 from graspforce.bench.registry import installed_solvers, load_adapter, version
-from graspforce.bench.worker import Worker, sequence_name
 from graspforce.core.errors import InvalidInput
 
 UNITS = ("scaled", "si")
-SEQUENCE_COLLECTIONS = ("closed-loop", "trajectory")  # collections whose cases form sequences
 MAX_PYRAMID_CONTACTS = 100  # dense programs with 8 facets per contact take minutes above this
 MAX_CONE_CONTACTS = 500  # dense cone programs take minutes above this
 _UNLIMITED_SOLVER = "structured"  # builds no dense program
@@ -102,12 +102,7 @@ def select_cases(collections: Sequence[str], max_cases: int) -> tuple[str, ...]:
     """
     selected: list[str] = []
     for collection in dict.fromkeys(collections):
-        names = problems.names(collection)
-        groups = (
-            [list(group) for _, group in groupby(names, key=sequence_name)]
-            if collection in SEQUENCE_COLLECTIONS
-            else [[n] for n in names]
-        )
+        groups = case_groups(collection)
         size = max(len(group) for group in groups)
         count = len(groups) if max_cases == 0 else min(len(groups), max(2, round(max_cases / size)))
         selected += [name for i in range(count) for name in groups[i * len(groups) // count]]
@@ -145,6 +140,7 @@ def run(
     save: Path | None = None,
     progress: Callable[[str, int, int], None] = lambda *_: None,
     cluster: Any = None,
+    workers: int = 1,
 ) -> tuple[dict[str, Any], list[RaceOutcome]]:
     """Run a race, and return its conditions and all outcomes.
 
@@ -153,41 +149,67 @@ def run(
         save: file to which each outcome is appended; tasks whose outcomes it already holds are skipped.
         progress: callback with the last completed task, the number of completed tasks and the number of all tasks.
         cluster: address of a Dask scheduler, or a cluster of Dask; by default this machine runs all tasks.
+        workers: number of tasks that run at once on this machine, ≥ 1.
 
     Raises:
         InvalidInput: the file was written under different conditions.
         BackendError: the cluster cannot be reached, or its workers cannot start processes.
     """
-    facts = race_conditions(race)
+    if workers < 1:
+        raise InvalidInput("workers", workers, "at least 1")
+
+    def start(tasks: Sequence[RaceTask]) -> Iterator[RaceOutcome]:
+        if cluster is None:
+            return run_tasks_here(tasks, race.limit, workers)
+        return run_tasks_on_cluster(tasks, race.limit, cluster)
+
+    tasks = list(race_tasks(race))
+    if workers > 1 and cluster is None:
+        tasks = order_in_blocks(tasks)
+    return run_tasks(tasks, race_conditions(race), start, save, progress, workers)
+
+
+def run_tasks(
+    tasks: Sequence[RaceTask],
+    facts: dict[str, Any],
+    start: Callable[[Sequence[RaceTask]], Iterator[RaceOutcome]],
+    save: Path | None = None,
+    progress: Callable[[str, int, int], None] = lambda *_: None,
+    workers: int = 1,
+) -> tuple[dict[str, Any], list[RaceOutcome]]:
+    """Run the tasks that a file does not hold yet, and return the conditions and all outcomes in the order of the tasks.
+
+    Args:
+        tasks: the tasks.
+        facts: conditions of the race, as `race_conditions` returns them.
+        start: function that yields the outcomes of tasks; it may end early.
+        save: file to which each outcome is appended; tasks whose outcomes it already holds are skipped.
+        progress: callback with the last completed task, the number of completed tasks and the number of all tasks.
+        workers: number of tasks that run at once, for the record.
+
+    Raises:
+        InvalidInput: the file was written under different conditions.
+    """
     known: dict[RaceTask, RaceOutcome] = {}
     earlier_clocks: list[Any] = []
     if save is not None and save.exists():
         known, earlier_clocks = _earlier_outcomes(save, facts)
     elif save is not None:
         write_header(save, facts)
-    tasks = list(race_tasks(race))
     missing = [task for task in tasks if task not in known]
     done, before_race = len(tasks) - len(missing), clock_state()
     progress("", done, len(tasks))
-    running = _run_here(missing, race.limit) if cluster is None else run_tasks_on_cluster(missing, race.limit, cluster)
-    for outcome in running:
+    for outcome in start(missing):
         task = outcome.task
         known[task] = outcome
         if save is not None:
             append(save, outcome)
         done += 1
         progress(f"{task.solver} {task.settings} {task.units} {task.case}", done, len(tasks))
-    clocks = [{"before": before_race, "after": clock_state()}] if missing else []
+    clocks = [{"before": before_race, "after": clock_state(), "workers": workers}] if missing else []
     if save is not None and clocks:
         append_clock(save, clocks[0])
-    return {**facts, "clocks": [*earlier_clocks, *clocks]}, [known[task] for task in tasks]
-
-
-def _run_here(tasks: Sequence[RaceTask], limit: float) -> Iterator[RaceOutcome]:
-    """Yield the outcomes of tasks that run one after another, each solver in a process of its own."""
-    for _, own in groupby(tasks, key=lambda task: task.solver):
-        with Worker(limit) as worker:
-            yield from map(worker.run, own)
+    return {**facts, "clocks": [*earlier_clocks, *clocks]}, [known[task] for task in tasks if task in known]
 
 
 def _earlier_outcomes(save: Path, facts: dict[str, Any]) -> tuple[dict[RaceTask, RaceOutcome], list[Any]]:

@@ -97,17 +97,30 @@ def condition_sentences(conditions: Mapping[str, Any], outcomes: Sequence[RaceOu
     sentences = [
         f"{cases} cases of the problem library, {len(outcomes)} runs, at most {conditions['limit']:g} s of processor time per "
         "solve.",
-        f"{conditions['machine']}, {conditions['cores']} cores, Python {conditions['python']}.",
     ]
+    if missing := conditions.get("missing"):
+        sentences.append(f"The race is not complete: {missing} runs are missing.")
     if "problems" in conditions:
         sentences.append(
             f"Problem data {conditions['problems']['version']}, SHA-256 {conditions['problems']['sha256'][:16]}…; graspforce "
             f"{conditions['versions'].get('graspforce', '')}."
         )
-    sentences += [clock_sentence(clock) for clock in conditions.get("clocks", ())]
+    for session in conditions.get("sessions", [conditions]):
+        sentences += _session_sentences(session)
     varying = sum(outcome.verdict_varies for outcome in outcomes)
     share = f" ({100.0 * varying / len(outcomes):.2g} %)" if outcomes else ""
     return [*sentences, f"Verdicts varied between the runs of a task in {varying} of {len(outcomes)} tasks{share}."]
+
+
+def _session_sentences(session: Mapping[str, Any]) -> Iterator[str]:
+    """Return sentences that state the machine of a session, the runs on it, and its clock rates."""
+    yield f"{session['machine']}, {session['cores']} cores, Python {session['python']}."
+    if tasks := session.get("tasks"):
+        yield f"It ran {sum(tasks.values())} runs: " + ", ".join(f"{solver} {count}" for solver, count in tasks.items()) + "."
+    clocks = session.get("clocks", ())
+    if (most := max((clock.get("workers", 1) for clock in clocks), default=1)) > 1:
+        yield f"Up to {most} solvers ran at once."
+    yield from dict.fromkeys(map(clock_sentence, clocks))
 
 
 def _prose(text: str) -> Iterator[str]:
@@ -319,9 +332,10 @@ def _limitations() -> Iterator[str]:
 _LIMITATIONS = (
     "The cases are force problems of 2 to 1000 contacts: small, dense, often degenerate. They do not show how a solver "
     "performs on large sparse programs, for which several of these solvers were written.",
-    "Times were measured on one shared machine, one process at a time, in calls from Python, which cost a few microseconds "
-    "each. Problem data are in the solver's arrays before timing starts. Exceptions: the structured kernel, whose packing is "
-    "timed, and solvers called through CasADi, whose set-up is not timed.",
+    "Times were measured on shared machines, in calls from Python, which cost a few microseconds each. Times of different "
+    "machines are not comparable; the first paragraph states which machine ran which solver. Problem data are in the solver's "
+    "arrays before timing starts. Exceptions: the structured kernel, whose packing is timed, and solvers called through "
+    "CasADi, whose set-up is not timed.",
     "A pyramid admits other forces than the cone that it replaces: the optimum differs, and the problem may be infeasible. "
     "Times on pyramids and on exact cones are not directly comparable.",
     "The cost of forces is compared with a proven optimum, whose relative accuracy is 1e-7 for most cases. Excesses within "

@@ -30,6 +30,7 @@ from typing import Any
 from graspforce import problems
 from graspforce.bench.adapter import BoundSolver
 from graspforce.bench.case_program import case_program
+from graspforce.bench.case_sequences import previous_case
 from graspforce.bench.judge import Judgement, Verdict, judge, worst_judgement
 from graspforce.bench.outcome import RaceOutcome, RaceTask
 from graspforce.bench.registry import load_adapter
@@ -48,6 +49,7 @@ _BOUND = "bound"
 _READY = "ready"
 _UNKNOWN_FACTS = (0, True)  # facts of a case that could not be loaded
 _PREPARATION_LIMIT = 120.0  # s, wall clock, to start a process or to build a large program; not part of the solver's time
+_EXIT_CODE_POLLS = 100
 _MAX_TRIES = 3  # tries of a solver that exceeds the limit
 _RUNS_PER_TASK = 3  # runs within one wall-clock limit: one that warms caches, a cold one and the warm one
 _MIN_PROCESSOR_SHARE = 0.1  # share of a processor that a solver gets on a busy machine; with less it is taken as asleep
@@ -148,6 +150,10 @@ class Worker:
                 return pipe.recv()
         except (EOFError, OSError):
             self._process.join(1.0)  # so that is_alive returns False
+            for _ in range(_EXIT_CODE_POLLS):  # another thread may just have collected it, and sets the exit code next
+                if self._process.exitcode is not None:
+                    break
+                time.sleep(0.01)
         return None
 
 
@@ -304,23 +310,3 @@ def load_proven_case(name: str, pyramid: bool) -> tuple[ForceProblem, bool, Expe
     if not solution.found or solution.objective is None or solution.certificate is None:
         return problem, False, None
     return problem, True, ExpectedOptimum(solution.objective, solution.certificate.tolerance)
-
-
-def sequence_name(name: str) -> str:
-    """Return the sequence of a case: its name without the last number.
-
-    Args:
-        name: name of the case.
-    """
-    return name.rpartition("-")[0]
-
-
-def previous_case(name: str) -> str | None:
-    """Return the previous case of a sequence; None for the first.
-
-    Args:
-        name: name of the case.
-    """
-    names = problems.names(name.partition("/")[0])
-    i = names.index(name)
-    return names[i - 1] if i and sequence_name(names[i - 1]) == sequence_name(name) else None

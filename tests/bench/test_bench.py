@@ -113,8 +113,8 @@ def test_every_solver_is_certified_on_an_easy_case(name: str, units: str, capfd:
                 allowed.add(Verdict.NO_ANSWER)  # they fail on some cases, and report it
             if name == "slsqp":
                 allowed |= {Verdict.CORRECT, Verdict.NO_ANSWER}  # no multipliers; needs a scaled problem
-            if units == "si":
-                allowed |= {Verdict.INEXACT, Verdict.NO_ANSWER}  # without scaling, some solvers reach less accuracy
+            if units == "si":  # without scaling, some solvers reach less accuracy
+                allowed |= {Verdict.UNVERIFIED, Verdict.INEXACT, Verdict.NO_ANSWER}
             assert verdict in allowed, case
     capfd.readouterr()  # qpOASES' banner
 

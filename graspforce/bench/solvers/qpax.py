@@ -49,7 +49,7 @@ def bind(program: ConicProgram, settings: str) -> BoundSolver:
     return BoundSolver(run, read)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=512)  # shapes; the library has some hundreds
 def _compiled(shapes: tuple[tuple[int, ...], ...], tolerance: float | None, double: bool) -> Any:
     """Return the solver, compiled for arrays of some shapes."""
     options = {} if tolerance is None else {"solver_tol": tolerance}

@@ -55,6 +55,7 @@ def bench(
         str | None,
         typer.Option(metavar="ADDRESS", help="Dask scheduler whose workers run the solvers, such as tcp://host:8786."),
     ] = None,
+    workers: Annotated[int, typer.Option(metavar="N", help="Number of solvers that run at once on this machine.")] = 1,
     save: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Save outcomes here; cases that the file already holds are skipped.")
     ] = None,
@@ -75,7 +76,7 @@ def bench(
     cases = (*(case or ()), *(problems.smoke_names() if smoke else ()))
     race_plan = race.make_race_plan(solver or (), settings or (), units or (), collection or (), max_cases, limit, cases)
     before = None if compare is None else load(compare)[1]
-    run = (lambda: _race(race_plan, save, cluster)) if solver or not answers else None
+    run = (lambda: _race(race_plan, save, cluster, workers)) if solver or not answers else None
     facts, outcomes = _outcomes(race_plan, answers or (), run)
     if as_json:
         print_json({"facts": facts, "outcomes": [outcome.to_dict() for outcome in outcomes]})
@@ -124,7 +125,7 @@ def _outcomes(
     return {**facts, "versions": versions}, [*outcomes, *reported]
 
 
-def _race(race_plan: Any, save: Path | None, cluster: str | None) -> Any:
+def _race(race_plan: Any, save: Path | None, cluster: str | None, workers: int) -> Any:
     """Run the race with a progress bar."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -137,4 +138,4 @@ def _race(race_plan: Any, save: Path | None, cluster: str | None) -> Any:
         def show(what: str, done: int, of: int) -> None:
             bar.update(shown, description=what, completed=done, total=of)
 
-        return race.run(race_plan, save, show, cluster)
+        return race.run(race_plan, save, show, cluster, workers)
