@@ -66,3 +66,22 @@ def forces_residual(problem: ForceProblem, f: Array) -> float:
         missing = (robust.uncertainty.slip_margin - float(worst.guaranteed.min())) / float(robust.program.wrench_units[0])
         residual = max(residual, missing, worst.exceeded)
     return residual if np.isfinite(residual) else float(np.finfo(float).max)
+
+
+def load_error(problem: ForceProblem, f: Array) -> float:
+    """Return the missing wrench of forces, relative to the load; 0 without load.
+
+        max(‖Δw_f‖, ‖Δw_m‖ / L) / max(‖w_f‖, ‖w_m‖ / L),    about the centroid of the contacts, which are L from it
+
+    Args:
+        problem: the force problem.
+        f: (k,) stacked contact forces, N and N·m.
+    """
+    with np.errstate(all="ignore"):  # a diverged solver returns numbers that overflow
+        sizes = [
+            max(float(np.linalg.norm(w[:3])), float(np.linalg.norm(w[3:])) / problem.length)
+            for w in (problem.w_centred - problem.G_centred @ f, problem.w_centred)
+        ]
+    if sizes[1] == 0.0:
+        return 0.0
+    return sizes[0] / sizes[1] if np.isfinite(sizes[0]) else float(np.finfo(float).max)

@@ -13,7 +13,7 @@ from enum import Enum
 import numpy as np
 
 from graspforce.bench.adapter import SolverResult, SolverStatus
-from graspforce.bench.case_program import forces_residual
+from graspforce.bench.case_program import forces_residual, load_error
 from graspforce.core.arrays import Array
 from graspforce.core.errors import BackendError
 from graspforce.force.certificate import (
@@ -33,6 +33,9 @@ ACCEPTED_RESIDUAL = {"default": LOOSE_TOLERANCE, "high": TIGHT_TOLERANCE, "low":
 # Residual of the forces above which a reported solution is wrong. At high settings a solver was asked for 1e-10 on its own
 # rows, and a residual a million times as large contradicts its report. The other settings ask for little accuracy or none.
 WRONG_RESIDUAL = {"default": 1e-2, "high": 1e-4, "low": 1e-2, "float32": 1e-2}
+# Missing share of the load above which forces outside the accepted residual are wrong. The unit of force exceeds the load where
+# motors or normal limits determine the forces; the residual then hides a wrong load. Other settings permit such errors.
+WRONG_LOAD_ERROR = {"high": 1e-4}
 
 
 class Verdict(str, Enum):
@@ -42,8 +45,8 @@ class Verdict(str, Enum):
     CORRECT = "correct, without multipliers"  # forces within the accepted residual; the solver returned no multipliers
     UNVERIFIED = "correct, inexact multipliers"  # the same, with multipliers that do not prove the forces
     UNPROVEN = "unproven"  # correctly reported infeasible, without a valid proof
-    INEXACT = "inexact"  # reported solved; residual of the forces above the accepted one and within `WRONG_RESIDUAL`
-    WRONG = "wrong"  # reported solved or infeasible, and is not
+    INEXACT = "inexact"  # reported solved; residual of the forces above the accepted one, and not wrong
+    WRONG = "wrong"  # reported solved beyond `WRONG_RESIDUAL` or `WRONG_LOAD_ERROR`, or infeasible although feasible
     NO_ANSWER = "no answer"  # the solver reports that it found no solution
     TIMED_OUT = "timed out"  # stopped at the time limit
     CRASHED = "crashed"  # the process died, or an exception was raised
@@ -122,7 +125,8 @@ def judge(
     if feasible and residual <= WRONG_RESIDUAL[settings]:
         residual = max(residual, cost_excess(problem, result.f, optimum or proven_optimum(problem)))
     if residual > accepted:
-        return Judgement(Verdict.INEXACT if residual <= WRONG_RESIDUAL[settings] else Verdict.WRONG, residual)
+        is_wrong = residual > WRONG_RESIDUAL[settings] or load_error(problem, result.f) > WRONG_LOAD_ERROR.get(settings, np.inf)
+        return Judgement(Verdict.WRONG if is_wrong else Verdict.INEXACT, residual)
     return Judgement(Verdict.CORRECT, residual) if proof_residual is None else Judgement(Verdict.UNVERIFIED, proof_residual)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from graspforce.bench.conditions import clock_sentence
-from graspforce.bench.judge import ACCEPTED_RESIDUAL, CORRECT_VERDICTS, WRONG_RESIDUAL, Verdict
+from graspforce.bench.judge import ACCEPTED_RESIDUAL, CORRECT_VERDICTS, WRONG_LOAD_ERROR, WRONG_RESIDUAL, Verdict
 from graspforce.bench.outcome import RaceOutcome
 from graspforce.bench.plots import draw_figures
 from graspforce.bench.statistics import (
@@ -142,7 +142,8 @@ def _legend() -> Iterator[str]:
         "do not prove the forces. *Unproven*: correctly reported infeasible, without a valid proof. *Correct* adds these four. "
         "*Claimed*: reported solved or infeasible. "
         f"*Inexact*: reported solved, with a larger residual. *Wrong*: reported solved with a residual above, by settings: "
-        f"{wrong}; or reported infeasible although feasible. "
+        f"{wrong}; at high settings also with forces that miss more than {WRONG_LOAD_ERROR['high']:.0e} of the load; or "
+        "reported infeasible although feasible. "
         "*No answer*: the solver reports that it found none. *Timed out*: stopped at the limit. *Unsupported*: the solver does "
         f"not support such problems; counts as not correct. Pyramids have {FACETS} facets inside the exact cone, or are given "
         "by the case. *Scaled*: rows and variables in the problem's own units; *SI*: newtons and newton metres, not scaled."
