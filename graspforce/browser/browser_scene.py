@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 _OBJECT_OPACITY, _CONE_OPACITY = 0.6, 0.5  # the forces lie inside the object
 _CONE_SIDES = 40
-_PUSH_COLOUR = (140, 64, 166)
+_PUSH_COLOUR, _LOAD_COLOUR = (140, 64, 166), (40, 40, 40)
 _HEAD_RADIUS, _HEAD_LENGTH = 2.2, 4.5  # of arrows, over the radius of their shafts
 _HIDDEN = np.zeros((1, 2, 3), dtype=np.float32)  # an arrow without length
 _CAMERA_DISTANCE = 1.1  # over that of the films' camera, because the panel covers part of the picture
@@ -81,8 +81,14 @@ class BrowserScene:
         vertices, faces = _unit_cone()
         for name in display.scene.grasp.fingers:
             cone = scene.add_mesh_simple(
-                f"/contacts/{name}/cone", vertices, faces, opacity=_CONE_OPACITY, side="double", cast_shadow=False
+                f"/contacts/{name}/cone",
+                vertices,
+                faces,
+                opacity=_CONE_OPACITY,
+                side="double",
+                cast_shadow=False,
             )
+            cone.visible = False  # the argument `visible` does not hide it
             self._cones[name] = cone
         self._desired = scene.add_frame("/desired", axes_length=0.03, axes_radius=0.0008, visible=False)
 
@@ -110,6 +116,11 @@ class BrowserScene:
                 self._show_arrow("push", push.end - push.arrow, push.end, push.radius, _PUSH_COLOUR)
             elif "push" in self._arrows:
                 self._arrows["push"].visible = False
+            load = state.load
+            if load is not None:
+                self._show_arrow("load", load.start, load.start + load.arrow, load.radius, _LOAD_COLOUR)
+            elif "load" in self._arrows:
+                self._arrows["load"].visible = False
 
     def show_desired(self, p_HO: arrays.Array, R_HO: arrays.Array) -> None:
         """Show the desired pose of the object as a frame.
@@ -122,7 +133,8 @@ class BrowserScene:
 
     def close(self) -> None:
         """Close all pages, and free the port."""
-        self.server.stop()
+        with contextlib.redirect_stdout(io.StringIO()):  # viser prints a message
+            self.server.stop()
 
     def _set_camera(self) -> None:
         """Look at the scene as the films do."""

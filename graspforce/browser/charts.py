@@ -1,4 +1,4 @@
-"""Strip charts of a view: slip margins, motor torques, errors, speeds, times of the controller, and temperatures."""
+"""Strip charts of a view: slip margins, forces, motor torques, errors, speeds, times of the controller, and temperatures."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from graspforce.browser.readings import Readings
 
 MARGINS, TORQUE, ERROR, SPEED, STEP_TIME, TEMPERATURE = "margins", "torque", "error", "speed", "step", "winding"
+FORCES, LEAST_MARGIN, JOINT_ERROR, TORQUE_ERROR = "forces", "least", "joints", "contact torque"
 """Names of charts."""
 
 _TITLES = {
@@ -20,6 +21,10 @@ _TITLES = {
     SPEED: "speed of the object, mm/s",
     STEP_TIME: "controller's time, ms",
     TEMPERATURE: "hottest winding, °C",
+    FORCES: "normal force, N",
+    LEAST_MARGIN: "least slip margin, N",
+    JOINT_ERROR: "largest joint error, °",
+    TORQUE_ERROR: "largest error of a contact torque, N·m",
 }
 _COLOURS = ("#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7", "#56b4e9")  # Okabe and Ito: safe for colour-blind readers
 _HEIGHT = 120  # pixels
@@ -56,8 +61,10 @@ class StripChart:
 
         Args:
             t: time, s; an earlier one than the last begins the chart anew.
-            values: one number for each line.
+            values: one number for each line; a row of NaN is left out, because it would empty the chart.
         """
+        if np.isnan(values).all():
+            return
         if self._rows and t <= self._rows[-1][0]:
             self._rows.clear()
         self._rows.append((t, *values))
@@ -88,13 +95,13 @@ class Charts:
         gui: of viser.
         fingers: names of the fingers in contact.
         span: time that the charts show, s.
-        names: the charts, of `MARGINS`, `TORQUE`, `ERROR`, `SPEED`, `STEP_TIME` and `TEMPERATURE`.
+        names: the charts, of the names of this module.
     """
 
     def __init__(self, gui: Any, fingers: Sequence[str], span: float, names: Sequence[str]) -> None:
         with gui.add_folder("Charts"):
             self._charts = {
-                name: StripChart(gui, _TITLES[name], fingers if name == MARGINS else [name], span) for name in names
+                name: StripChart(gui, _TITLES[name], fingers if name in (MARGINS, FORCES) else [name], span) for name in names
             }
 
     def add(self, readings: Readings) -> None:
@@ -126,6 +133,8 @@ def _values(name: str, readings: Readings) -> list[float]:
     """Return the numbers of a chart at an instant."""
     if name == MARGINS:
         return [float(x) for x in readings.slip_margin]
+    if name == FORCES:
+        return [float(x) for x in readings.normal_force]
     if name == TORQUE:
         return [100.0 * float(readings.torque_use.max())]
     number = {
@@ -133,5 +142,8 @@ def _values(name: str, readings: Readings) -> list[float]:
         SPEED: readings.speed,
         STEP_TIME: readings.step_time,
         TEMPERATURE: readings.temperature,
+        LEAST_MARGIN: float(readings.slip_margin.min()) if len(readings.slip_margin) else np.nan,
+        JOINT_ERROR: readings.joint_error,
+        TORQUE_ERROR: readings.torque_error,
     }[name]
     return [number]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graspforce.browser.charts import ERROR, MARGINS, SPEED, TORQUE
+from graspforce.browser.charts import ERROR, MARGINS, SPEED, TEMPERATURE, TORQUE
 from graspforce.browser.readings import Readings, torque_use
 from graspforce.contact import friction
 from graspforce.contact.motion import BodyMotion
@@ -67,15 +67,16 @@ def recorded_footage(scene: Scene, recording: Recording) -> Footage:
         scene: scene of the recorded grasp.
         recording: the recording.
     """
+    hand = scene.grasp.hand
     return Footage(
         f"{recording.hand}, {recording.t[-1]:.2f} s",
         recording.t,
-        Readings.of_recording(recording),
-        (MARGINS, TORQUE, ERROR),
+        Readings.of_recording(recording, hand),
+        (MARGINS, TORQUE, ERROR, *((TEMPERATURE,) if hand.drives.has_thermal_data else ())),
         lambda row: recorded_state(scene, recording, row),
         lambda row: (recording.p_desired[row], recording.R_desired[row]),
         tuple(recording.warnings),
-        recording.motion_labels(scene.grasp.hand),
+        recording.motion_labels(hand),
     )
 
 

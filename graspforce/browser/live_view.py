@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from graspforce.browser.browser_scene import BrowserScene, ViewAddress
-from graspforce.browser.charts import ERROR, MARGINS, STEP_TIME, TORQUE, Charts
+from graspforce.browser.charts import ERROR, MARGINS, STEP_TIME, TEMPERATURE, TORQUE, Charts
 from graspforce.browser.readings import Readings
 from graspforce.core.arrays import Array, freeze
 from graspforce.simulation.rendering.display_model import DisplayModel
@@ -55,7 +55,8 @@ class LiveView:
             largest = max(_LARGEST_MARGIN, 2.0 * slip_margin)
             with gui.add_folder("Squeeze"):
                 self._margin = gui.add_slider("slip margin, N", min=0.0, max=largest, step=0.05, initial_value=slip_margin)
-        self._charts = Charts(gui, display.scene.grasp.fingers, _SPAN, (MARGINS, TORQUE, ERROR, STEP_TIME))
+        heat = (TEMPERATURE,) if display.scene.grasp.hand.drives.has_thermal_data else ()
+        self._charts = Charts(gui, display.scene.grasp.fingers, _SPAN, (MARGINS, TORQUE, ERROR, STEP_TIME, *heat))
         self._last_drawn = -np.inf
 
     @property
@@ -103,8 +104,8 @@ class LiveView:
             self._charts.draw()
             warning = f"  \n⚠ {readings.warnings[0]}" if readings.warnings else ""
             motions = f"  \n{readings.motion_text}" if readings.motions else ""
-            error = f"position error {readings.position_error:.3f} mm"
-            self._status.content = f"t = {readings.t:.2f} s, {error}{motions}{warning}"
+            load = "" if state.load is None else f"  \n{state.load.text}"
+            self._status.content = f"{readings.text}{load}{motions}{warning}"
 
     def close(self) -> None:
         """Close the page."""

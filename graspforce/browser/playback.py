@@ -67,10 +67,11 @@ class Playback:
         if row == self._shown:
             return
         self._shown = row
-        self.view.show(footage.state(row))
+        state = footage.state(row)
+        self.view.show(state)
         if footage.desired is not None:
             self.view.show_desired(*footage.desired(row))
-        self._status.content = footage.status(row)
+        self._status.content = footage.status(row) + ("" if state.load is None else f"  \n{state.load.text}")
 
     def run(self, duration: float = np.inf) -> None:
         """Play and follow the timeline until `close`.

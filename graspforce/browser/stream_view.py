@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from graspforce.browser.browser_scene import BrowserScene, ViewAddress
-from graspforce.browser.charts import ERROR, MARGINS, STEP_TIME, TEMPERATURE, TORQUE, Charts
+from graspforce.browser.charts import Charts
 from graspforce.browser.readings import Readings
 from graspforce.core.arrays import Array
 from graspforce.simulation.rendering.display_model import DisplayModel
@@ -27,14 +28,14 @@ class StreamView:
     Args:
         display: the model to show.
         title: heading of the panel.
-        has_heat: whether the hand's drives have thermal data.
+        charts: names of the charts, of `graspforce.browser.charts`.
         address: where the page is served.
 
     Raises:
         MissingLibrary: viser is not installed.
     """
 
-    def __init__(self, display: DisplayModel, title: str, has_heat: bool, address: ViewAddress | None = None) -> None:
+    def __init__(self, display: DisplayModel, title: str, charts: Sequence[str], address: ViewAddress | None = None) -> None:
         self.scene = BrowserScene(display, title, address)
         gui = self.scene.server.gui
         self._title = title
@@ -43,9 +44,8 @@ class StreamView:
         self._pause.on_click(lambda _: self._toggle_pause())
         self._back: Any = gui.add_slider("back, s", min=0.0, max=_HISTORY, step=0.05, initial_value=0.0)
         self._back.disabled = True
-        names = (MARGINS, TORQUE, ERROR, STEP_TIME, *((TEMPERATURE,) if has_heat else ()))
-        self._charts = Charts(gui, display.scene.grasp.fingers, _SPAN, names)
-        self._history: deque[tuple[SceneState, tuple[Array, Array], Readings]] = deque(maxlen=_KEPT)
+        self._charts = Charts(gui, display.scene.grasp.fingers, _SPAN, charts)
+        self._history: deque[tuple[SceneState, tuple[Array, Array] | None, Readings]] = deque(maxlen=_KEPT)
         self._is_paused, self._last_drawn, self._shown = False, -np.inf, -1
 
     @property
@@ -53,12 +53,12 @@ class StreamView:
         """Address of the page."""
         return self.scene.url
 
-    def show(self, state: SceneState, desired: tuple[Array, Array], readings: Readings) -> None:
+    def show(self, state: SceneState, desired: tuple[Array, Array] | None, readings: Readings) -> None:
         """Show a state and its numbers; while the page is paused, nothing is kept.
 
         Args:
             state: the state.
-            desired: (3,) desired position, m, and (3, 3) orientation of the object in H.
+            desired: (3,) desired position, m, and (3, 3) orientation of the object in H; None without.
             readings: the numbers.
         """
         if self._is_paused:
@@ -98,9 +98,11 @@ class StreamView:
         """Show a row of the history."""
         state, desired, readings = self._history[row]
         self.scene.show(state)
-        self.scene.show_desired(*desired)
+        if desired is not None:
+            self.scene.show_desired(*desired)
         warning = f"  \n⚠ {readings.warnings[0]}" if readings.warnings else ""
-        self._status.content = f"t = {readings.t:.2f} s, position error {readings.position_error:.3f} mm{warning}"
+        load = "" if state.load is None else f"  \n{state.load.text}"
+        self._status.content = f"{readings.text}{load}{warning}"
 
     def _toggle_pause(self) -> None:
         """Pause the picture, or follow the stream again."""

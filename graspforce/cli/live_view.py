@@ -14,6 +14,9 @@ from graspforce.browser.live_view import LiveView
 from graspforce.browser.readings import Readings
 from graspforce.browser.steering import SteeredController, SteeredReference
 from graspforce.control import ObjectController
+from graspforce.core.arrays import Array
+from graspforce.hand.hand import Hand
+from graspforce.hand.heat import ThermalModel
 from graspforce.learning.actions.labels import MotionMonitor, motion_name
 from graspforce.simulation import ControllerCommand, Plant, Reference
 from graspforce.simulation.rendering import DisplayModel, capture_state
@@ -36,6 +39,7 @@ class LiveRun:
         self._last_shown, self._next_label = -np.inf, 0.0
         self._monitor: MotionMonitor | None = None
         self._motions: dict[str, str] = {}
+        self._heat: _WindingHeat | None = None
 
     def steered(self, controller: ObjectController) -> SteeredController:
         """Return the controller with the slip margin of the view."""
@@ -55,9 +59,14 @@ class LiveRun:
         now = time.monotonic()
         step_time = 1e3 * (now - self._last_step)  # ms
         self._label(plant)
+        if self._heat is None and plant.scene.grasp.hand.drives.has_thermal_data:
+            self._heat = _WindingHeat(plant.scene.grasp.hand, plant.t)
+        if self._heat is not None:
+            self._heat.add(np.asarray(command.tau))
         if now - self._last_shown >= 1.0 / _RATE:
-            self._last_shown = now
-            readings = Readings.of_command(plant.t, command, plant.scene.grasp.hand, step_time, self._motions)
+            self._last_shown, hand = now, plant.scene.grasp.hand
+            heat = np.nan if self._heat is None else self._heat.take(plant.t)
+            readings = Readings.of_command(plant.t, command, hand, step_time, self._motions, heat)
             self._view.show(capture_state(plant), readings)
         before = time.monotonic()
         self._view.wait_while_paused()
@@ -85,6 +94,31 @@ class LiveRun:
         if plant.t >= self._next_label:
             self._motions = {finger: motion_name(motion) for finger, motion in self._monitor.present().items()}
             self._next_label = plant.t + _LABEL_PERIOD if self._motions else plant.t
+
+
+class _WindingHeat:
+    """Temperature of the hottest winding of a run that begins with cold motors.
+
+    Args:
+        hand: the hand, with thermal data.
+        t: time, s.
+    """
+
+    def __init__(self, hand: Hand, t: float) -> None:
+        self._model, self._t = ThermalModel.for_hand(hand), t
+        self._now, self._squares, self._count = self._model.at_rest(), np.zeros(hand.n), 0
+
+    def add(self, tau: Array) -> None:
+        """Take the torques of a step, (n,), N·m."""
+        self._squares, self._count = self._squares + tau**2, self._count + 1
+
+    def take(self, t: float) -> float:
+        """Return the temperature at a time, °C, and begin the next interval."""
+        if t > self._t:
+            current = self._model.currents(np.sqrt(self._squares / max(self._count, 1)))
+            self._now = self._model.step(self._now, current, t - self._t)
+            self._t, self._squares, self._count = t, np.zeros_like(self._squares), 0
+        return float(self._now.winding.max())
 
 
 @contextmanager

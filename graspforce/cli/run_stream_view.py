@@ -11,23 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from rich.console import Console
 
-from graspforce.browser import Readings, StreamView, ViewAddress
-from graspforce.browser.readings import torque_use
+from graspforce.browser import StreamView, ViewAddress
 from graspforce.cli.interruption import Interruption
 from graspforce.cli.json_output import put_result
 from graspforce.cli.running_streams import is_stream_open, load_named
-from graspforce.contact.motion import BodyMotion
-from graspforce.control.state import GraspState, object_motion
-from graspforce.core.arrays import Array
-from graspforce.core.errors import InvalidInput
+from graspforce.cli.shown_streams import shown_stream
 from graspforce.core.printable import escape_controls
-from graspforce.service import Client, StreamSetup
-from graspforce.service.client.stream_monitor import StreamMonitor, StreamStep
-from graspforce.service.wire.memory_records import to_array
-from graspforce.simulation import build_scene
-from graspforce.simulation.plants.scene import Scene
-from graspforce.simulation.rendering import DisplayModel, SceneState
-from graspforce.simulation.rendering.marks import RecordedContacts, scene_state
+from graspforce.service import Client
+from graspforce.service.client.stream_monitor import StreamMonitor
 
 _RATE = 30.0  # pictures per second
 _SILENCE = 1.0  # s without states, after which to ask whether the stream is open
@@ -108,13 +99,12 @@ class _Shown:
     def __init__(self, client: Client, id: str, options: StreamViewOptions) -> None:
         self._client = client
         self._monitor: StreamMonitor = client.monitor_stream(id)
-        setup = self._monitor.read_setup(load_named(options.hands, self._monitor.hand_name))
-        self._setup = setup
-        self._scene = build_scene(setup.grasp, gravity_H=setup.settings.gravity_H)
+        setup = self._monitor.read_any_setup(load_named(options.hands, self._monitor.hand_name))
+        self._stream = shown_stream(setup)
         client_name, _, own = id.rpartition("/")
         short = own if len(own) <= _SHOWN_CHARACTERS else f"{own[:_SHOWN_CHARACTERS]}…"
         title = f"{setup.hand.name}, stream {escape_controls(f'{client_name}/{short}' if client_name else short)}"
-        self.view = StreamView(DisplayModel(self._scene), title, setup.hand.drives.has_thermal_data, options.address)
+        self.view = StreamView(self._stream.display, title, self._stream.charts, options.address)
         self._last, self._start = time.monotonic(), np.nan
 
     def advance(self) -> bool:
@@ -124,7 +114,7 @@ class _Shown:
         if step is not None:
             self._last = now
             self._start = step.state.time if np.isnan(self._start) else self._start
-            self.view.show(*shown_step(self._scene, self._setup, step, self._start))
+            self.view.show(*self._stream.show(step, self._start))
         elif now - self._last > _SILENCE:
             self._last = now
             if not is_stream_open(self._client, self._monitor.id):
@@ -138,43 +128,3 @@ class _Shown:
         """Close the page."""
         self._monitor.close()
         self.view.close()
-
-
-def shown_step(
-    scene: Scene, setup: StreamSetup, step: StreamStep, start: float = 0.0
-) -> tuple[SceneState, tuple[Array, Array], Readings]:
-    """Return what the page shows of a step: state, desired pose in H, and numbers.
-
-    Args:
-        scene: scene of the stream's grasp.
-        setup: setup of the stream.
-        step: the step. After a change of contacts, it has no marks of contacts.
-        start: time on the driver's clock that is shown as zero, s.
-    """
-    state, command, hand = step.state, step.command, setup.hand
-    t = state.time - start
-    if isinstance(state.state, GraspState):
-        q, motion = state.state.q, BodyMotion(state.state.object.p_HO, state.state.object.R_HO)
-    elif command.estimate is not None:
-        estimate = command.estimate
-        q, motion = np.array(estimate.posture), BodyMotion(estimate.fused_position, estimate.fused_rotation)
-    else:
-        raise InvalidInput("estimate", None, "given in the commands of a stream of measurements")
-    known, count = setup.grasp.contacts, len(setup.grasp.fingers)
-    change = command.contact_change
-    is_changed = change is not None and change.number > setup.change_number
-    margins = np.zeros(count) if is_changed else to_array(command.slip_margin)
-    contacts = RecordedContacts(
-        np.full(count, not is_changed),
-        np.zeros((count, 4)) if is_changed else known.pad(to_array(command.force)),
-        known.p_OC if is_changed else to_array(command.positions, -1, 3),
-        known.R_OC if is_changed else to_array(command.memory.frames, -1, 3, 3),
-        known.mu,
-        known.gamma,
-    )
-    use = torque_use(to_array(command.torque), hand.torque_lower, hand.torque_upper)
-    error = 1e3 * float(np.linalg.norm(to_array(command.pose_error)[:3]))  # mm
-    heat = np.nan if command.winding_temperature is None else float(to_array(command.winding_temperature).max())
-    readings = Readings(t, margins, use, error, 1e3 * command.server_seconds, tuple(command.warnings), temperature=heat)
-    desired = object_motion(state.desired)
-    return scene_state(scene, t, q, motion, contacts), (desired.p_HO, desired.R_HO), readings

@@ -11,25 +11,21 @@ from rich.console import Console
 from rich.progress import track
 
 from graspforce.cli.console import progress_console
+from graspforce.cli.hand_scene import hand_scene
 from graspforce.cli.json_output import put_result
 from graspforce.cli.options import RunFiles
 from graspforce.cli.tables import make_table
 from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput
-from graspforce.geometry import Sphere
-from graspforce.grasp.body import Body
-from graspforce.grasp.search import find_grasp
-from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
+from graspforce.hand.hand import Hand
 from graspforce.learning.object_size import correlate_with_size
 from graspforce.learning.posture_library import SIZE_COLUMNS, PostureLibrary
 from graspforce.learning.synergies import Synergies, fit_synergies
-from graspforce.simulation import build_scene
 from graspforce.simulation.plants.scene import Scene
 from graspforce.simulation.rendering import CameraOptions, DisplayModel, FilmWriter, Overlay, SceneState, make_renderer
 from graspforce.simulation.rendering.film import ANIMATIONS
 from graspforce.simulation.rendering.marks import posture_state
 
-_BALL, _MASS = 0.03, 0.05  # m, kg: the scene of a hand needs an object, which the film does not show
 _SHOWN = 10  # components in the table
 _MOST = 20  # components in a film
 
@@ -132,7 +128,7 @@ def _film(hand: Hand, synergies: Synergies, options: SynergiesOptions, console: 
     """Write the film: one component after the other, from the mean posture to both ends and back."""
     files, form = options.files, options.files.film
     writer = FilmWriter(files.video, files.frames, form.rate, form.width)
-    scene = build_scene(find_grasp(hand, Body.solid(Sphere(_BALL), _MASS), gravity_H=GRAVITY_PALM_UP))
+    scene = hand_scene(hand)
     width, height = form.size  # no contacts: the picture takes the whole frame
     camera = replace(form.camera(CameraOptions()), aspect=width / height)
     display = DisplayModel(scene, camera=camera, shows_object=False)

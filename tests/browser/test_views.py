@@ -14,15 +14,16 @@ from support.allegro_grasp import PALM_UP, three_finger_grasp
 from support.headless_browser import CHROMIUM, HeadlessBrowser
 from support.simulated_runs import SETTINGS, start_of
 
-from graspforce import InvalidInput, ObjectController
+from graspforce import Hand, InvalidInput, ObjectController
 from graspforce.browser import LiveView, Playback, Readings, ViewAddress
-from graspforce.browser.readings import torque_use
+from graspforce.browser.readings import torque_use, winding_temperatures
 from graspforce.browser.steering import SteeredController, SteeredReference, left_jacobian
 from graspforce.cli import run_stream_view, run_view
 from graspforce.cli.live_view import LiveRun
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings
 from graspforce.geometry.rotations import rotation_exp
+from graspforce.hand.heat import ThermalModel
 from graspforce.planning import PathMove, Plan, tracking
 from graspforce.service import Client, Server
 from graspforce.simulation import (
@@ -352,3 +353,31 @@ def test_the_command_shows_a_recording_with_its_grasp_only(recording: Recording,
         run_view.run(run_view.ViewOptions(tmp_path / "bare.npz", PALM_UP, address, False), Console(file=text), duration=0.1)
     with pytest.raises(InvalidInput, match="port"):
         ViewAddress(port=0)
+
+
+def test_the_load_of_a_recording_at_rest_is_the_mass_of_the_object(recording: Recording) -> None:
+    """Contacts carry the weight: their force is m g upwards, and they carry the mass of the object."""
+    still = simulate(Plant(SCENE), ObjectController(GRASP, SETTINGS), constant_reference(start_of(GRASP)), 0.3)
+    load = recorded_state(SCENE, still, -1).load
+    assert load is not None
+    assert load.carried == pytest.approx(GRASP.body.mass, rel=1e-3)
+    assert load.force == pytest.approx(GRASP.body.mass * np.linalg.norm(PALM_UP), rel=1e-3)
+    assert load.moment < 1e-5  # N·m, about the centre of mass
+    np.testing.assert_allclose(load.arrow / np.linalg.norm(load.arrow), -np.array(PALM_UP) / np.linalg.norm(PALM_UP), atol=1e-3)
+    assert f"load {1e3 * GRASP.body.mass:.0f} g" in load.text
+    lost = dataclasses.replace(still, touching=np.zeros_like(still.touching))
+    assert recorded_state(SCENE, lost, -1).load is None
+
+
+def test_windings_of_a_recording_warm_up_as_the_thermal_model_says() -> None:
+    hand = Hand.load("leap_right")
+    t = np.arange(5000) * 1e-3
+    tau = np.full((len(t), hand.n), 0.2)  # N·m
+    model = ThermalModel.for_hand(hand)
+    end = model.step(model.at_rest(), model.currents(tau[0]), 1.0)
+    for _ in range(3):
+        end = model.step(end, model.currents(tau[0]), 1.0)
+    temperatures = winding_temperatures(hand, t, tau)
+    np.testing.assert_array_equal(temperatures[0], model.at_rest().winding)
+    np.testing.assert_allclose(temperatures[4000] - temperatures[0], end.winding - temperatures[0], rtol=0.02)
+    assert (np.diff(temperatures, axis=0) >= 0.0).all()

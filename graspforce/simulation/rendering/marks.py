@@ -78,6 +78,33 @@ class PushMark:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class LoadMark:
+    """The wrench of all contacts on the object.
+
+    Attributes:
+        start: (3,) the object's origin in H, m.
+        arrow: (3,) along the force, from the origin to the arrow's tip, in H, m.
+        radius: of the arrow's shaft, m.
+        force: size of the force, N.
+        moment: size of the moment about the object's origin, N·m.
+        carried: mass whose weight the force carries, kg; NaN without gravity.
+    """
+
+    start: Array
+    arrow: Array
+    radius: float
+    force: float
+    moment: float
+    carried: float
+
+    @property
+    def text(self) -> str:
+        """Force, moment and load in one line."""
+        load = "" if np.isnan(self.carried) else f", load {1e3 * self.carried:.0f} g"
+        return f"wrench {self.force:.2f} N, {1e3 * self.moment:.1f} mN·m{load}"
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class SceneState:
     """The state of a plant at one instant, as far as images show it.
 
@@ -87,6 +114,7 @@ class SceneState:
         contacts: marks of the contacts, in the grasp's order.
         push: mark of the external force on the object; None without one.
         mocap: (M, 3) positions of the bodies that the plant moves, such as its floor, in H, m.
+        load: mark of the wrench of all contacts; None if no finger touches.
     """
 
     t: float
@@ -94,6 +122,7 @@ class SceneState:
     contacts: tuple[ContactMark, ...]
     push: PushMark | None
     mocap: Array
+    load: LoadMark | None = None
 
 
 def capture_state(plant: Plant) -> SceneState:
@@ -102,8 +131,9 @@ def capture_state(plant: Plant) -> SceneState:
     Args:
         plant: the plant.
     """
-    marks = contact_marks(plant.scene, plant.true_contacts(), plant.object_motion())
-    return SceneState(plant.t, freeze(plant.data.qpos), marks, push_mark(plant), freeze(plant.data.mocap_pos))
+    contacts, motion = plant.true_contacts(), plant.object_motion()
+    marks, load = contact_marks(plant.scene, contacts, motion), load_mark(plant.scene, contacts, motion)
+    return SceneState(plant.t, freeze(plant.data.qpos), marks, push_mark(plant), freeze(plant.data.mocap_pos), load)
 
 
 def recorded_state(scene: Scene, recording: Recording, row: int) -> SceneState:
@@ -133,7 +163,8 @@ def scene_state(scene: Scene, t: float, q: Array, motion: BodyMotion, contacts: 
     set_posture(scene, data, q, np.zeros(len(q)))
     mujoco.mju_mat2Quat(quaternion := np.empty(4), motion.R_HO.ravel())
     data.qpos[scene.object_q_address : scene.object_q_address + 7] = [*motion.p_HO, *quaternion]
-    return SceneState(t, freeze(data.qpos), contact_marks(scene, contacts, motion), None, freeze(data.mocap_pos))
+    marks, load = contact_marks(scene, contacts, motion), load_mark(scene, contacts, motion)
+    return SceneState(t, freeze(data.qpos), marks, None, freeze(data.mocap_pos), load)
 
 
 def posture_state(scene: Scene, t: float, q: Array) -> SceneState:
@@ -188,14 +219,13 @@ def contact_marks(scene: Scene, contacts: MarkedContacts, motion: BodyMotion) ->
     """
     grasp = scene.grasp
     margins = friction.slip_margin(contacts.f, contacts.mu, contacts.gamma)
-    weight = grasp.body.mass * max(float(np.linalg.norm(scene.gravity_H)), 1.0)  # N
     height = _cone_height(scene)
     marks = []
     for i, finger in enumerate(grasp.fingers):
         f, mu = contacts.f[i], float(contacts.mu[i])
         R_HC = motion.R_HO @ contacts.R_OC[i]
         norm, use = float(np.linalg.norm(f[:3])), friction_use(float(margins[i]), mu, float(f[2]))
-        length = height * (norm / (_TYPICAL_FORCE * weight)) ** _LENGTH_EXPONENT
+        length = _arrow_length(scene, norm)
         marks.append(
             ContactMark(
                 finger=finger,
@@ -215,6 +245,28 @@ def contact_marks(scene: Scene, contacts: MarkedContacts, motion: BodyMotion) ->
     return tuple(marks)
 
 
+def load_mark(scene: Scene, contacts: MarkedContacts, motion: BodyMotion) -> LoadMark | None:
+    """Return the mark of the wrench of all contacts on the object; None if no finger touches.
+
+    Args:
+        scene: scene of the grasp.
+        contacts: forces, places and friction of the contacts.
+        motion: pose of the object.
+    """
+    touching = np.asarray(contacts.touching, dtype=bool)
+    if not touching.any():
+        return None
+    f, axes = contacts.f[touching], contacts.R_OC[touching]
+    forces = np.einsum("nij,nj->ni", axes, f[:, :3])  # in O
+    moments = np.cross(contacts.p_OC[touching], forces) + axes[:, :, 2] * f[:, 3:4]
+    force = motion.R_HO @ forces.sum(axis=0)
+    size, gravity = float(np.linalg.norm(force)), scene.gravity_H
+    arrow = force * (_arrow_length(scene, size) / size if size > 0.0 else 0.0)
+    carried = -float(force @ gravity) / float(gravity @ gravity) if gravity.any() else np.nan
+    moment = float(np.linalg.norm(moments.sum(axis=0)))
+    return LoadMark(freeze(motion.p_HO), freeze(arrow), _ARROW_RADIUS * _cone_height(scene), size, moment, carried)
+
+
 def push_mark(plant: Plant) -> PushMark | None:
     """Return the mark of the external force on the object in the last step; None without a force.
 
@@ -231,6 +283,12 @@ def push_mark(plant: Plant) -> PushMark | None:
     height = _cone_height(plant.scene)
     end = motion.p_HO + motion.R_HO @ surface
     return PushMark(end, _PUSH_LENGTH * height * direction, _PUSH_RADIUS * height, size)
+
+
+def _arrow_length(scene: Scene, force: float) -> float:
+    """Return the length of the arrow of a force in N, m."""
+    weight = scene.grasp.body.mass * max(float(np.linalg.norm(scene.gravity_H)), 1.0)  # N
+    return _cone_height(scene) * float((force / (_TYPICAL_FORCE * weight)) ** _LENGTH_EXPONENT)
 
 
 def _cone_height(scene: Scene) -> float:
