@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -171,7 +171,7 @@ def run(
             initial_forces=initial_forces,
             on_step=on_step,
         )
-    _show(recording, output, console, remote_controller)
+    _show(recording, output, console, remote_controller, options.pushes)
     if output.record is not None:
         write_mcap(recording, scene, output.record, options.meshes, console)
     heat = show_heat(recording, grasp, console)
@@ -229,7 +229,13 @@ def _callbacks(
     return callbacks
 
 
-def _show(recording: Recording, output: SimulateOutput, console: Console, remote_controller: StreamController | None) -> None:
+def _show(
+    recording: Recording,
+    output: SimulateOutput,
+    console: Console,
+    remote_controller: StreamController | None,
+    pushes: Sequence[tuple[float, ...]],
+) -> None:
     """Print the summary and the first warnings, and write the recording and the plots."""
     console.print(summary_table(recording, remote_controller))
     for t, text in recording.warnings[:_MAX_WARNINGS]:
@@ -241,7 +247,7 @@ def _show(recording: Recording, output: SimulateOutput, console: Console, remote
     if output.plots is not None:
         from graspforce.simulation.recordings import recording_plots
 
-        for path in recording_plots.save_plots(recording, output.plots):
+        for path in recording_plots.save_plots(recording, output.plots, pushes):
             console.print(f"Plot: [bold]{path}[/]", soft_wrap=True)
 
 

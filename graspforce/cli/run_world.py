@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from contextlib import ExitStack
 
 import numpy as np
@@ -111,7 +112,7 @@ def run(
     with ExitStack() as stack:
         callbacks: list[StepCallback] = []
         subtitle = "control with full knowledge" if runner.controller == "exact" else "control from measurements"
-        film = FilmOptions(output.video, output.frames, options.duration, options.meshes, subtitle)
+        film = FilmOptions(output.video, output.frames, options.duration, options.meshes, subtitle, format=output.film)
         if isinstance(plant, Plant) and film.is_wanted:
             callbacks.append(stack.enter_context(film_callback(plant, film, console)))
         if isinstance(plant, Plant) and output.view == "window":
@@ -136,7 +137,7 @@ def run(
             reference = live.steered_reference(reference)
         recording = simulation.simulate_measured(driven_plant, controller, reference, options.duration, world, on_step=on_step)
     outcome = judge_run(recording)
-    _show(recording, outcome, output, console)
+    _show(recording, outcome, output, console, world.pushes)
     if output.record is not None:
         scene = simulation.build_scene(grasp, gravity_H=options.grasp.gravity_H)
         write_mcap(recording.truth, scene, output.record, options.meshes, console)
@@ -155,7 +156,13 @@ def _make_plant(
     return make_plant(grasp, plant_options, pushes=world.pushes, tip_geometry=tips, directories=options.meshes)
 
 
-def _show(recording: MeasuredRecording, outcome: RunOutcome, output: SimulateOutput, console: Console) -> None:
+def _show(
+    recording: MeasuredRecording,
+    outcome: RunOutcome,
+    output: SimulateOutput,
+    console: Console,
+    pushes: Sequence[tuple[float, ...]],
+) -> None:
     """Print the summary and the first warnings, and write the recording and the plots."""
     console.print(outcome_table(recording, outcome))
     for t, text in recording.truth.warnings[:_MAX_WARNINGS]:
@@ -168,7 +175,7 @@ def _show(recording: MeasuredRecording, outcome: RunOutcome, output: SimulateOut
         from graspforce.simulation.recordings import estimate_plots, recording_plots
 
         paths = [
-            *recording_plots.save_plots(recording.truth, output.plots),
+            *recording_plots.save_plots(recording.truth, output.plots, pushes),
             *estimate_plots.save_estimate_plots(recording, output.plots),
         ]
         for path in paths:

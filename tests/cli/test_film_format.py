@@ -77,3 +77,12 @@ def test_the_command_writes_a_film_of_the_format(tmp_path, capsys):
     with Image.open(path) as film:
         assert film.size == (256, 144)
         assert film.n_frames == 3
+
+
+def test_simulations_of_worlds_write_films_of_the_given_size(tmp_path):
+    given = ["simulate", "--world", "real", "--duration", "0.02", "--reference", "still", "--film-size", "160x96"]
+    main([*given, "--frames", str(tmp_path / "frames")])
+    frames = sorted((tmp_path / "frames").glob("*.png"))
+    assert frames
+    with Image.open(frames[0]) as image:
+        assert image.size == (160, 96)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +19,17 @@ from graspforce.view.figures import plot_torques, save_figures
 _BLUE, _VERMILION, _GREEN, _BLACK = "#0072B2", "#D55E00", "#009E73", "#222222"  # distinct for colour-blind readers
 _PLANNED: dict[str, Any] = {"linewidth": 4.0, "alpha": 0.35, "zorder": 1.5}  # behind the true line, which may be noisy
 _TRUE: dict[str, Any] = {"linewidth": 1.1}
+_PURPLE = "#8C40A6"  # of pushes, as in films
 _WIDTH = 11.0  # inches
 
 
-def save_plots(recording: Recording, folder: Path) -> list[Path]:
-    """Write error.png, forces.png and torques.png.
+def save_plots(recording: Recording, folder: Path, pushes: Sequence[Sequence[float]] = ()) -> list[Path]:
+    """Write error.png, forces.png and torques.png, with the times of pushes shaded.
 
     Args:
         recording: the run.
         folder: directory for the files; created if it is missing.
+        pushes: (fx, fy, fz, start, duration) of each external force on the object: force, N, and times, s.
 
     Returns:
         The files.
@@ -37,7 +40,23 @@ def save_plots(recording: Recording, folder: Path) -> list[Path]:
         "forces": _plot_forces(recording, metrics),
         "torques": _plot_torques(recording, metrics),
     }
+    for figure in figures.values():
+        _mark_pushes(figure, pushes)
     return save_figures(figures, folder)
+
+
+def _mark_pushes(figure: Figure, pushes: Sequence[Sequence[float]]) -> None:
+    """Shade the times of pushes in all axes, with the force in the first one."""
+    for k, axes in enumerate(figure.axes):
+        first, last = axes.get_xlim()
+        for *force, start, duration in pushes:
+            if not first <= start < last:
+                continue
+            axes.axvspan(start, min(start + duration, last), color=_PURPLE, alpha=0.18, linewidth=0.0, zorder=0.5)
+            if k == 0:
+                text, place = f"push {np.linalg.norm(force):.2g} N", (start, 1.0)
+                axes.annotate(text, place, xycoords=("data", "axes fraction"), xytext=(2, -10), textcoords="offset points",
+                              color=_PURPLE, fontsize=8)  # fmt: skip
 
 
 def _plot_error(r: Recording, metrics: RunMetrics) -> Figure:

@@ -42,3 +42,17 @@ def test_titles_state_the_result(recording):
     assert title(recording).startswith(f"no contact slips; minimum slip margin {recording.slip_margin.min():.2f} N (")
     lost = replace(recording, touching=np.where(recording.t[:, None] > 0.0045, 0.0, 1.0) * np.ones(3))
     assert title(lost) == "a contact is lost in 50 % of the time; no contact slips"
+
+
+def test_pushes_are_shaded_with_their_force_in_every_plot(recording, tmp_path, monkeypatch):
+    figures = {}
+    monkeypatch.setattr(recording_plots, "save_figures", lambda made, folder: figures.update(made) or [])
+    late = (1.0, 0.0, 0.0, 5.0, 0.1)  # after the end of the recording
+    recording_plots.save_plots(recording, tmp_path, [(0.0, 3.0, 4.0, 0.004, 0.002), late])
+    assert set(figures) == {"error", "forces", "torques"}
+    for figure in figures.values():
+        for axes in figure.axes:
+            (span,) = [patch for patch in axes.patches if patch.get_alpha() == 0.18]
+            assert (span.get_x(), span.get_x() + span.get_width()) == pytest.approx((0.004, 0.006))
+            assert axes.get_xlim() == pytest.approx((recording.t[0], recording.t[-1]))
+        assert [text.get_text() for text in figure.axes[0].texts] == ["push 5 N"]
