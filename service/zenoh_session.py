@@ -30,6 +30,7 @@ _BASE_SETTINGS: dict[str, object] = {
 _SECURE_LINKS = ("tls", "quic", "wss", "unixsock-stream")
 _SECRETS = ("password", "listen_private_key_base64", "connect_private_key_base64")
 _SOURCE_LOCATION = re.compile(r" at /\S+:\d+\.")  # place in Zenoh's source code at the end of its messages
+_PARSER_MESSAGE = re.compile(r'msg: "((?:[^"\\]|\\.)*)"')  # in the errors of Zenoh's parser
 
 
 def build_configuration(
@@ -161,5 +162,7 @@ def find_addresses(session: zenoh.Session, config: zenoh.Config) -> tuple[str, .
 
 
 def describe_zenoh_error(error: zenoh.ZError) -> str:
-    """Return the text of a Zenoh error without locations in Zenoh's source code."""
-    return _SOURCE_LOCATION.sub("", str(error)).strip()
+    """Return the text of a Zenoh error in one line, without locations in Zenoh's source code."""
+    text = " ".join(_SOURCE_LOCATION.sub("", str(error)).split())
+    found = _PARSER_MESSAGE.search(text)
+    return found[1] if found is not None else text

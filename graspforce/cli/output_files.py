@@ -49,5 +49,7 @@ def check_new_folder(path: Path | None, option: str) -> None:
 def _check_writable(folder: Path, path: Path, option: str) -> None:
     """Raise an error if the nearest existing folder above a path is not writable."""
     there = next(each for each in (folder, *folder.absolute().parents) if os.path.exists(each))
-    if not (os.path.isdir(there) and os.access(there, os.W_OK | os.X_OK)):
+    if not os.path.isdir(there):
+        raise InvalidInput(option, str(path), f"in a directory; {there} is a file")
+    if not os.access(there, os.W_OK | os.X_OK):
         raise InvalidInput(option, str(path), f"in a writable directory; {there} is not writable")

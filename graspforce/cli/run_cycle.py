@@ -88,7 +88,7 @@ class CycleOptions:
         try:
             self.settings()
         except InvalidInput as error:
-            raise error.with_prefix("--phases") from None
+            raise error.with_field(f"--{error.field.replace('_', '-')}") from None
 
     def settings(self) -> PhaseSettings:
         """Return the settings of the phases."""

@@ -13,7 +13,7 @@ def replace_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield the path of a temporary file beside a file, which replaces it at the end of the ``with`` block.
 
     If the block raises, the temporary file is removed and the file stays as it was. A path that exists but is no regular file,
-    such as ``/dev/stdout``, is yielded as it is. The mode of an existing file is kept.
+    such as ``/dev/stdout``, is yielded as it is. The mode of an existing file is kept. Missing folders are made.
 
     Args:
         path: the file. A symbolic link is followed.
@@ -24,6 +24,7 @@ def replace_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     import tempfile  # imported here to keep `import graspforce` fast
 
     target = Path(os.path.realpath(path))
+    target.parent.mkdir(parents=True, exist_ok=True)
     if target.exists() and not target.is_file():
         yield target
         return

@@ -101,6 +101,8 @@ class TriangleMesh(Solid):
             mesh: Any = trimesh.load(os.fspath(path), force="mesh")
         except Exception as error:  # each format has exceptions of its own
             raise ModelError(f"{os.fspath(path)}: cannot read the mesh: {error}") from None
+        if not len(mesh.faces):
+            raise ModelError(f"{os.fspath(path)}: cannot read the mesh: it has no triangles")
         mesh.merge_vertices(merge_tex=True, merge_norm=True)
         mesh.update_faces(mesh.nondegenerate_faces())
         mesh.remove_unreferenced_vertices()

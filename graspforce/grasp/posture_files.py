@@ -27,6 +27,7 @@ import numpy as np
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput, MissingField
+from graspforce.core.json_text import errors_of_file
 from graspforce.geometry.poses import pose_from_dict
 from graspforce.hand.hand import Hand
 
@@ -81,7 +82,8 @@ def load_postures(
     if root is not None:
         hand.contact_frame_id(root, "root")
     if path.suffix.lower() == ".csv":
-        return _read_table(path, hand, root)
+        with errors_of_file(path):
+            return _read_table(path, hand, root)
     if path.suffix.lower() != ".npy":
         raise InvalidInput("path", str(path), "a .npy or .csv file")
     record = _load_dictionary(path)
@@ -185,13 +187,18 @@ def _read_table(path: Path, hand: Hand, root: str | None) -> list[RecordedPostur
         found = []
         for row in reader:
             line = f"line {reader.line_num}"
-            try:
-                values = np.array([float(row[name]) for name in needed])
-            except (TypeError, ValueError):
-                raise InvalidInput(line, ",".join(str(row[name]) for name in needed), f"{len(needed)} numbers") from None
+            values = np.array([_number(row, name, line) for name in needed])
             q = arrays.check_array(values[: hand.n], line, (hand.n,))
             found.append(RecordedPosture(q, *_from_root(hand, q, root, *_pose(values[hand.n :], line))))
     return found
+
+
+def _number(row: Mapping[str, Any], column: str, line: str) -> float:
+    """Return the number in a column of a row; `line` names the row in errors."""
+    try:
+        return float(row[column])
+    except (TypeError, ValueError):
+        raise InvalidInput(f"{line}, column {column}", row[column], "a number") from None
 
 
 def _load_dictionary(path: Path) -> Mapping[str, Any]:

@@ -22,6 +22,7 @@ import numpy.typing as npt
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
+from graspforce.core.json_text import errors_of_file
 from graspforce.core.optional_libraries import optional_imports
 from graspforce.core.records import set_fields
 from graspforce.core.whole_file import replace_file, write_text
@@ -197,10 +198,21 @@ class PostureLibrary:
             MissingLibrary: pyarrow is not installed.
             OSError: the file cannot be read.
         """
-        if _suffix(path) == ".csv":
-            with Path(path).open(encoding="utf-8", newline="") as lines:
-                reader = csv.DictReader(lines)
-                rows = list(reader)
+        suffix = _suffix(path)
+        with errors_of_file(path):
+            return cls._read(path, suffix)
+
+    @classmethod
+    def _read(cls, path: str | os.PathLike[str], suffix: str) -> PostureLibrary:
+        """Read a file with a suffix, as `load`."""
+        lines: Sequence[int] | None = None
+        if suffix == ".csv":
+            with Path(path).open(encoding="utf-8", newline="") as text:
+                reader = csv.DictReader(text)
+                rows, lines = [], []
+                for row in reader:
+                    rows.append(row)
+                    lines.append(reader.line_num)
                 columns: Mapping[str, Sequence[Any]] = {
                     str(name).strip(): [row[name] for row in rows] for name in reader.fieldnames or ()
                 }
@@ -212,9 +224,8 @@ class PostureLibrary:
                 raise InvalidInput("path", str(path), f"a Parquet file: {error}") from None
         joints = tuple(name for name in columns if name not in _RESERVED)
         names = tuple(str(name) for name in columns.get(_OBJECT_COLUMN, ()))
-        return cls(
-            joints, _numbers(columns, joints), names, _optional(columns, SIZE_COLUMNS), _optional(columns, _POSE_COLUMNS)
-        )
+        sizes, poses = (_optional(columns, each, lines) for each in (SIZE_COLUMNS, _POSE_COLUMNS))
+        return cls(joints, _numbers(columns, joints, lines), names, sizes, poses)
 
     def _columns(self) -> dict[str, list[Any]]:
         """Return the columns of the table."""
@@ -294,19 +305,23 @@ def _parquet_library() -> tuple[Any, Any]:
     return pyarrow, parquet
 
 
-def _numbers(columns: Mapping[str, Sequence[Any]], names: Sequence[str]) -> Array:
-    """Return columns of numbers as an array (N, k)."""
+def _numbers(columns: Mapping[str, Sequence[Any]], names: Sequence[str], lines: Sequence[int] | None) -> Array:
+    """Return columns of numbers as an array (N, k); `lines` are the numbers of their lines in a text file."""
     if not names:
         raise InvalidInput("columns", ", ".join(columns), "a table with a column for each joint")
     values = []
     for name in names:
-        try:
-            values.append([float(value) for value in columns[name]])
-        except (TypeError, ValueError):
-            raise InvalidInput(f"column {name}", columns[name], "numbers") from None
+        column = []
+        for i, value in enumerate(columns[name]):
+            try:
+                column.append(float(value))
+            except (TypeError, ValueError):
+                place = f"row {i + 1}" if lines is None else f"line {lines[i]}"
+                raise InvalidInput(f"{place}, column {name}", value, "a number") from None
+        values.append(column)
     return freeze(np.array(values).T.reshape(-1, len(names)))
 
 
-def _optional(columns: Mapping[str, Sequence[Any]], names: Sequence[str]) -> Array | None:
+def _optional(columns: Mapping[str, Sequence[Any]], names: Sequence[str], lines: Sequence[int] | None) -> Array | None:
     """Return columns of numbers, or None if one of them is absent."""
-    return _numbers(columns, names) if all(name in columns for name in names) else None
+    return _numbers(columns, names, lines) if all(name in columns for name in names) else None

@@ -172,7 +172,12 @@ class Server:
         self._session = session
         self.addresses = find_addresses(session, self._config)
         if self._recorder is not None:
-            self._recorder.start(self._hands, dataclasses.asdict(self._limits))
+            try:
+                self._recorder.start(self._hands, dataclasses.asdict(self._limits))
+            except BaseException:  # such as OSError: the file cannot be written
+                self._session = None
+                session.close()
+                raise
         if self._worker_processes:
             self._workers = self._queue_options.start_workers(self._hands, self._limits)
         self._lease.start()

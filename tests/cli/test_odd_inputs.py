@@ -132,6 +132,19 @@ COMMANDS = [
     ["top", "--secure", "missing", "--once"],
     ["secure", "add", "missing", "arm", "--role", "king"],
     ["glove", "calibrate", "missing.csv"],
+    ["quality", "problem.json", "--budget", "nan"],
+    ["bench", "--time-limit", "nan", "--collection", "ring"],
+    ["grasp", "--hand", "four_finger", "--object", "mesh:empty.stl"],
+    ["cycle", "--hand", "four_finger", "--standoff", "-1"],
+    ["simulate", "--hand", "four_finger", "--plots", "problem.json"],
+    ["simulate", "--hand", "four_finger", "--connect", "nowhere"],
+    ["serve", "--config", "empty.stl"],
+    ["serve", "--grasp", "problem.json"],
+    ["serve", "--ros2-setting", "rate=500"],
+    ["serve", "--record", "problem.json/x.mcap"],
+    ["learn", "synergies", "words.csv"],
+    ["hands", "identify", "four_finger", "words.csv"],
+    ["glove", "calibrate", "words.csv", "words.csv"],
 ]
 
 
@@ -140,7 +153,25 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Enter and return a working directory with one valid problem file."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "problem.json").write_bytes(json.dumps(VALID).encode())
+    (tmp_path / "empty.stl").write_text("solid x\nendsolid x\n")
+    (tmp_path / "words.csv").write_text("t,q_0\n0,1\n\n1,word\n")
     return tmp_path
+
+
+def test_errors_of_tables_name_file_line_and_column(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["learn", "synergies", "words.csv"]) == 1
+    assert capsys.readouterr().err == "Error: words.csv: line 4, column q_0 = 'word': must be a number\n"
+
+
+def test_errors_of_options_name_the_option(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for command, start in (
+        (["quality", "problem.json", "--budget", "-5"], "--budget = -5.0: "),
+        (["bench", "--time-limit", "0", "--collection", "ring"], "--time-limit = 0.0: "),
+        (["cycle", "--hand", "four_finger", "--touch-force", "-1"], "--touch-force = -1.0: "),
+        (["simulate", "--plots", "problem.json"], "--plots = 'problem.json': must be in a directory; "),
+    ):
+        assert main(command) == 1
+        assert capsys.readouterr().err.startswith(f"Error: {start}")
 
 
 def check_one_line(code: int, err: str) -> None:

@@ -14,6 +14,7 @@ from graspforce.cli.commands.output_arguments import AsJson, Force
 from graspforce.cli.completions import complete_object
 from graspforce.cli.console import INFEASIBLE
 from graspforce.cli.output_files import check_new_file
+from graspforce.core import arrays
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import decode
 from graspforce.force.problem import ForceProblem
@@ -74,7 +75,7 @@ def quality(
     if regions_plot is not None and shape is None:
         raise InvalidInput("regions-plot", str(regions_plot), "absent without --object, whose surface has the regions")
     asked = _parse_direction(direction)
-    answer = graspforce.quality(problem, asked, seconds=budget, payload_errors=payload_errors, shape=shape)
+    answer = graspforce.quality(problem, asked, seconds=_check_budget(budget), payload_errors=payload_errors, shape=shape)
     if regions_plot is not None and answer.payload_regions is not None:
         answer.payload_regions.plot().savefig(regions_plot, dpi=110)
     if plot is not None:
@@ -98,7 +99,7 @@ def explain(
     Exit code 0: solved. 3: proven infeasible. 1: error, or no verdict.
     """
     check_new_file(plot, "plot", force)
-    answer = graspforce.explain(load_problem(file), _parse_direction(direction), seconds=budget)
+    answer = graspforce.explain(load_problem(file), _parse_direction(direction), seconds=_check_budget(budget))
     print(json.dumps(answer.to_dict()) if as_json else answer)
     if plot is not None and answer.limits:
         answer.plot().savefig(plot, dpi=110)
@@ -113,6 +114,11 @@ def load_problem(file: str) -> ForceProblem:
         file: path of the file, or "-".
     """
     return graspforce.load(file) if file != "-" else ForceProblem.from_dict(decode(sys.stdin.buffer.read()))
+
+
+def _check_budget(budget: float | None) -> float | None:
+    """Return the budget, s, if it is not negative."""
+    return None if budget is None else arrays.check_number(budget, "--budget", minimum=0.0)
 
 
 def _parse_direction(text: str | None) -> list[float] | None:

@@ -14,6 +14,7 @@ from graspforce.cli.commands.problems import OwnProblems, choose_problems
 from graspforce.cli.completions import complete_case, complete_collection
 from graspforce.cli.console import print_report, progress_console
 from graspforce.cli.json_output import print_json
+from graspforce.core import arrays
 
 app = typer.Typer()
 
@@ -72,6 +73,7 @@ def bench(
     from graspforce.bench.outcome import load
     from graspforce.cli.tables import difference_table, race_tables
 
+    arrays.check_number(limit, "--time-limit", above=0.0)
     choose_problems(folder)
     cases = (*(case or ()), *(problems.smoke_names() if smoke else ()))
     race_plan = race.make_race_plan(solver or (), settings or (), units or (), collection or (), max_cases, limit, cases)

@@ -108,9 +108,16 @@ def serve(
         print(show_configuration(server_configuration(config, listen, secure, connect or (), lease)))
         return
     from graspforce.cli.output_files import check_new_file
+    from graspforce.core.errors import InvalidInput
     from graspforce.service.server.log_format import configure_logging
 
     check_new_file(record, "--record", force)
+    if ros2 is None:
+        for option, value in (("--grasp", grasp), ("--ros2-setting", ros2_setting)):
+            if value:
+                raise InvalidInput(option, str(value), "given with --ros2 only")
+    if record is not None:
+        record.parent.mkdir(parents=True, exist_ok=True)
     configure_logging(log_level, log_format)
     hands = hand or []
     attach = None if ros2 is None else _ros2_node(ros2, grasp, ros2_setting or (), hands, insecure)

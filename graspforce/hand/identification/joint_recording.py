@@ -16,6 +16,7 @@ import numpy.typing as npt
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
+from graspforce.core.json_text import errors_of_file
 from graspforce.core.records import set_fields
 
 _LEAST_SAMPLES = 100  # for a filter window and several directions of motion
@@ -83,7 +84,7 @@ def load_joint_recording(path: str | os.PathLike[str], joints: Sequence[str]) ->
                 if missing:
                     raise InvalidInput("recording", str(path), f"an .npz file with the array {missing[0]!r}")
                 return JointRecording(file["t"], file["q"], file["tau"], file["v"] if "v" in file.files else None)
-        with path.open(encoding="utf-8", newline="") as lines:
+        with path.open(encoding="utf-8", newline="") as lines, errors_of_file(path):
             return read_joint_recording(lines, joints)
     except (OSError, UnicodeDecodeError, zipfile.BadZipFile, ValueError) as error:
         if isinstance(error, InvalidInput):
@@ -116,13 +117,20 @@ def read_joint_recording(lines: Iterable[str], joints: Sequence[str]) -> JointRe
     for number, row in enumerate(reader, start=2):
         if not row:
             continue
-        try:
-            for quantity, indices in columns.items():
-                values[quantity].append([float(row[i]) for i in indices])
-        except (ValueError, IndexError):
-            raise InvalidInput(f"recording line {number}", ",".join(row), f"{len(header)} numbers") from None
+        for quantity, indices in columns.items():
+            values[quantity].append([_number(row, i, number, header) for i in indices])
     rates = values.get("v")
     return JointRecording(np.array(values["t"]).reshape(-1), values["q"] or np.zeros((0, 1)), values["tau"], rates)
+
+
+def _number(row: Sequence[str], column: int, line: int, header: Sequence[str]) -> float:
+    """Return the number in a column of a row."""
+    if column >= len(row):
+        raise InvalidInput(f"recording line {line}", ",".join(row), f"{len(header)} numbers")
+    try:
+        return float(row[column])
+    except ValueError:
+        raise InvalidInput(f"recording line {line}, column {header[column]}", row[column], "a number") from None
 
 
 def _column(header: Sequence[str], names: Sequence[str]) -> int:

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
+from graspforce.core.json_text import errors_of_file
 
 _ROUNDING = 1e-9  # of a frame: sums of time steps
 
@@ -180,8 +181,9 @@ def load_frames(path: str | os.PathLike[str], sensors: int | None = None) -> Arr
     """
     lines = [line for line in Path(path).read_text(encoding="utf-8").splitlines() if line.strip()]
     frames: list[Array] = []
-    for i, line in enumerate(lines):
-        frames.append(parse_frame(line, i + 1, len(frames[0]) if frames else sensors))
+    with errors_of_file(path):
+        for i, line in enumerate(lines):
+            frames.append(parse_frame(line, i + 1, len(frames[0]) if frames else sensors))
     if not frames:
         raise InvalidInput("frames", str(path), "a file with at least one frame")
     return freeze(np.array(frames))

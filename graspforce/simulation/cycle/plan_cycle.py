@@ -200,4 +200,5 @@ def find_cycle(
             continue
         on_seed(each, "")
         return scene, plan
-    raise InvalidInput("body", body, f"an object that {hand.name} can pick from a table; the last of {_SEEDS} grasps: {fault}")
+    name = type(body.shape).__name__
+    raise InvalidInput("body", name, f"an object that {hand.name} can pick from a table; the last of {_SEEDS} grasps: {fault}")
