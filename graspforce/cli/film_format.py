@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,7 @@ from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput
 
 if TYPE_CHECKING:  # it needs MuJoCo
-    from graspforce.simulation.rendering import CameraOptions
+    from graspforce.simulation.rendering import CameraOptions, DisplayModel, SceneState
 
 _USUAL_SIZE = (1280, 720)  # pixels
 _BLOCK = 8  # pixels
@@ -56,6 +57,19 @@ class FilmFormat:
         from graspforce.simulation.rendering.overlay import picture_size
 
         return picture_size(*self.size)
+
+    def fill_text(self, display: DisplayModel, states: Sequence[SceneState]) -> str:
+        """Return the least part of the frames, with the strip, that hand and object cover, as text.
+
+        Args:
+            display: the model, with the camera of the film.
+            states: states of all frames, at least one.
+        """
+        from graspforce.simulation.rendering.coverage import least_coverage
+
+        width, height = self.picture
+        part = least_coverage(display, states, width, height) * height / self.size[1]
+        return f"hand and object cover at least {100.0 * part:.0f} % of the frame"
 
     def camera(self, options: CameraOptions) -> CameraOptions:
         """Return the options of a camera with this viewpoint, and with the shape of the picture in the frames.

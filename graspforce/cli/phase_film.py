@@ -69,7 +69,8 @@ class PhaseFilm:
         camera = form.camera(replace(self._view, swing=_SWING, period=period))
         display = DisplayModel(scene, camera=camera)
         renderer = make_renderer(display, *form.picture)
-        self._console.print(f"Film: {renderer.description}.", soft_wrap=True)
+        fill = form.fill_text(display, [state for state, _ in self._states])
+        self._console.print(f"Film: {renderer.description}; {fill}.", soft_wrap=True)
         is_compact = self._video is not None and self._video.suffix.lower() in ANIMATIONS
         title = scene.grasp.hand.title.partition(":")[0]
         overlay = Overlay(title, self._subtitle, *form.size, is_compact=is_compact)

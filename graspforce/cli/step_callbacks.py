@@ -130,7 +130,8 @@ def film_callback(plant: Plant, options: FilmOptions, console: Console) -> Itera
         display.update(states[0][0])
         display.camera = filling_camera(display, _LEAST_COVER / (1.0 - STRIP), *options.format.picture)
     renderer = make_renderer(display, *options.format.picture)
-    console.print(f"Film: {renderer.description}.", soft_wrap=True)
+    fill = f"; {options.format.fill_text(display, [state for state, _ in states])}" if states else ""
+    console.print(f"Film: {renderer.description}{fill}.", soft_wrap=True)
     is_compact = options.video is not None and options.video.suffix.lower() in ANIMATIONS
     title = plant.scene.grasp.hand.title.partition(":")[0]
     overlay = Overlay(title, options.subtitle, *options.format.size, is_compact, options.slow_motion)

@@ -79,9 +79,10 @@ def test_the_command_writes_a_film_of_the_format(tmp_path, capsys):
         assert film.n_frames == 3
 
 
-def test_simulations_of_worlds_write_films_of_the_given_size(tmp_path):
+def test_simulations_of_worlds_write_films_of_the_given_size(tmp_path, capsys):
     given = ["simulate", "--world", "real", "--duration", "0.02", "--reference", "still", "--film-size", "160x96"]
     main([*given, "--frames", str(tmp_path / "frames")])
+    assert "% of the frame." in capsys.readouterr().out
     frames = sorted((tmp_path / "frames").glob("*.png"))
     assert frames
     with Image.open(frames[0]) as image:

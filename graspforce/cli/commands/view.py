@@ -22,7 +22,7 @@ def view(
     ] = None,
     gravity: Annotated[
         str, typer.Option(metavar="X,Y,Z", help="Gravity in the hand's base frame, m/s²: up in the picture of a recording.")
-    ] = "-9.81,0,0",
+    ] = "0,0,-9.81",
     connect: Annotated[
         str | None, typer.Option(metavar="ENDPOINT", help="Zenoh endpoint of the server (default: this machine).")
     ] = None,

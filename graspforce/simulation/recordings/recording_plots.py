@@ -55,7 +55,7 @@ def _mark_pushes(figure: Figure, pushes: Sequence[Sequence[float]]) -> None:
             axes.axvspan(start, min(start + duration, last), color=_PURPLE, alpha=0.18, linewidth=0.0, zorder=0.5)
             if k == 0:
                 text, place = f"push {np.linalg.norm(force):.2g} N", (start, 1.0)
-                axes.annotate(text, place, xycoords=("data", "axes fraction"), xytext=(2, -10), textcoords="offset points",
+                axes.annotate(text, place, xycoords=("data", "axes fraction"), xytext=(0, 2), textcoords="offset points",
                               color=_PURPLE, fontsize=8)  # fmt: skip
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -15,10 +16,12 @@ from graspforce.simulation.plants.scene_parts import OBJECT
 from graspforce.simulation.rendering.camera import CameraView, OrbitCamera
 from graspforce.simulation.rendering.display_model import DisplayModel
 from graspforce.simulation.rendering.hand_geoms import HAND_PREFIX
+from graspforce.simulation.rendering.marks import SceneState
 from graspforce.simulation.rendering.tessellation import geom_triangles
 
 _HEIGHT = 120  # pixels of the masks
 _STEPS = np.linspace(0.0, 1.0, 21)  # from the camera that shows all to the nearest one
+_SAMPLES = 9  # pictures of a film
 _NEAREST = 0.25  # of the distance that shows all
 _CONTACT_MARGIN = 0.08  # part of the picture around the contacts
 
@@ -48,6 +51,22 @@ def coverage(display: DisplayModel, width: int, height: int) -> float:
         height: of the picture, pixels.
     """
     return float(silhouette(display, display.view(round(_HEIGHT * width / height), _HEIGHT)).mean())
+
+
+def least_coverage(display: DisplayModel, states: Sequence[SceneState], width: int, height: int) -> float:
+    """Return the least part of the pictures of a film that hand and object cover, at times spread over it.
+
+    Args:
+        display: the model, with the camera of the film.
+        states: states of all pictures, at least one.
+        width: of the pictures, pixels.
+        height: of the pictures, pixels.
+    """
+    parts = []
+    for i in np.unique(np.linspace(0, len(states) - 1, _SAMPLES).astype(int)):
+        display.update(states[i])
+        parts.append(coverage(display, width, height))
+    return min(parts)
 
 
 def filling_camera(display: DisplayModel, least: float, width: int, height: int) -> OrbitCamera:
