@@ -34,6 +34,7 @@ import msgspec
 import numpy as np
 
 from graspforce.core.arrays import Array
+from graspforce.core.compiled import native
 from graspforce.core.errors import ErrorReply, InvalidInput, RequestRefused, ServiceError, ServiceTimeout, format_value
 from graspforce.core.json_text import JsonRecord
 from graspforce.hand.hand import Hand
@@ -47,6 +48,7 @@ _PAUSE_TIMEOUT = 1.0  # s, without states: the driver has paused
 _MAX_PROOFS, _TOKEN_BYTES = 4, 32  # in a request
 _BUSY_WAIT = 1e-3  # s, of waiting without sleep, because waking up takes tens of microseconds
 _POLL_PERIOD = 1e-4  # s, between checks after that
+_NOTHING = np.zeros(0)
 
 
 class StreamConnection(Protocol):
@@ -80,8 +82,10 @@ class OpenSetup(Protocol):
 class ReceivedRecord(Protocol):
     """Fields of a command's record that every stream uses."""
 
-    late: bool
-    time: float | None
+    @property
+    def late(self) -> bool: ...  # pragma: no cover
+    @property
+    def time(self) -> float | None: ...  # pragma: no cover
 
 
 class ReceivedCommand(Protocol):
@@ -205,6 +209,10 @@ class CommandStream(Generic[C]):
         """
         raise NotImplementedError
 
+    def _facts(self, command: C) -> ReceivedRecord:
+        """Return the fields of a command's record that every stream uses."""
+        return command.record
+
     def _largest_step(self) -> Array | float:
         """Return the largest change of the torques per period while commands arrive, (n,), N·m."""
         return np.inf
@@ -291,10 +299,10 @@ class CommandStream(Generic[C]):
             self._take_error(self.last_error)
             return
         # Ignore commands that the server marks as late, and commands that answer no state of this stream.
-        record: Any = command.record
+        record = self._facts(command)
         if record.late or record.time is None or not record.time <= self._sent_time:
             return
-        if len(command.tau) != self._hand.n or not math.isfinite(sum(command.tau.tolist())):
+        if len(command.tau) != self._hand.n or not _is_finite(command.tau):
             message = f"the server's torque is invalid: {format_value(command.tau)}"
             self.last_error = ErrorReply("internal", message, "torque")
             return
@@ -325,6 +333,11 @@ class CommandStream(Generic[C]):
                 except ServiceError as error:
                     self.last_error = error
                     break
+
+
+def _is_finite(tau: Array) -> bool:
+    """Return whether all torques are finite; their sum then is, too, unless it overflows."""
+    return bool(native.has_finite_sum(tau, _NOTHING)) if native is not None else math.isfinite(sum(tau.tolist()))
 
 
 def _read_failure(payload: bytes, encoding: str) -> ServiceError:

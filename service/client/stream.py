@@ -9,6 +9,7 @@ The driver's loop calls `step`, or `publish` and `latest`.
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -27,7 +28,9 @@ from graspforce.grasp.grasp import Grasp
 from graspforce.service.client.command_stream import CommandStream, StreamLink
 from graspforce.service.client.stream_changes import StreamChanges, resumed_setup
 from graspforce.service.wire import protocol
-from graspforce.service.wire.command_records import CommandRecord, RemoteCommand
+from graspforce.service.wire.binary_command import read_binary_command
+from graspforce.service.wire.binary_state import write_state
+from graspforce.service.wire.command_records import CommandRecord, ReceivedCommand, RemoteCommand
 from graspforce.service.wire.control_records import StreamSetup
 from graspforce.service.wire.stream_state import StreamState
 
@@ -162,6 +165,8 @@ class Stream(CommandStream[RemoteCommand]):
         conditions: ContactConditions | None,
     ) -> int:
         """Send a state, and return its sequence number."""
+        if conditions is None and self._send_quickly(state, desired, external):
+            return self.sequence
         check_joint_count(self._hand, state.q, desired)
         if conditions is not None:
             conditions.check(self.grasp)
@@ -175,6 +180,19 @@ class Stream(CommandStream[RemoteCommand]):
         )
         self._connection.send(message.encode(self._codec))
         return sequence
+
+    def _send_quickly(self, state: GraspState | Measurement, desired: DesiredMotion, external: npt.ArrayLike | None) -> bool:
+        """Send a state that has only the usual parts; otherwise return False."""
+        if not isinstance(state, GraspState) or self._changes.pending is not None or self._codec != protocol.MSGPACK:
+            return False
+        wrench = None if external is None else arrays.check_array(external, "external", (6,))
+        sequence, sent_time = self.sequence + 1, time.monotonic()
+        payload = write_state(self._hand.n, sequence, sent_time, state, desired, wrench)
+        if payload is None:
+            return False
+        self.sequence, self._sent_time, self._state = sequence, sent_time, state
+        self._connection.send(payload)
+        return True
 
     def latest(self) -> RemoteCommand | None:
         """Return the newest command, or the watchdog's torque, without waiting.
@@ -190,7 +208,7 @@ class Stream(CommandStream[RemoteCommand]):
         output = self._motor_torque(self._state.q, self._joint_rates())
         warnings = (*self._last_command.warnings, *self._late_warning(output))
         return RemoteCommand(
-            output.tau, warnings, output.age, output.late, output.resuming, self._last_command.record, self._last_command.grasp
+            output.tau, warnings, output.age, output.late, output.resuming, self._last_command.message, self._last_command.grasp
         )
 
     def _joint_rates(self) -> Array:
@@ -202,8 +220,14 @@ class Stream(CommandStream[RemoteCommand]):
         return np.zeros(self._hand.n) if estimate is None else np.array(estimate.velocity)
 
     def _decode(self, payload: bytes, codec: str) -> RemoteCommand:
+        found = read_binary_command(payload, self._changes.grasp) if codec == protocol.MSGPACK else None
+        if found is not None:
+            return found
         record: CommandRecord = _COMMAND_DECODERS[codec].decode(payload)
         return record.unpack(self._changes.grasp_of(record, self._state))
+
+    def _facts(self, command: RemoteCommand) -> ReceivedCommand:
+        return command.message
 
     def _largest_step(self) -> Array:
         hand = self.setup.hand

@@ -26,6 +26,7 @@ import numpy.typing as npt
 
 from graspforce.core import arrays, records
 from graspforce.core.arrays import Array
+from graspforce.core.compiled import native
 from graspforce.core.errors import InvalidInput
 
 
@@ -215,5 +216,8 @@ class CommandMonitor:
 
     def _limit_step(self, previous: Array, target: Array) -> Array:
         """Return the next torque on the straight line from one torque to another, by at most `step` in each joint."""
-        excess = float((np.abs(target - previous) / self._step).max(initial=0.0))
+        if native is not None and isinstance(self._step, np.ndarray):
+            excess = float(native.torque_step_ratio(target, previous, self._step))
+        else:
+            excess = float((np.abs(target - previous) / self._step).max(initial=0.0))
         return target if excess <= 1.0 else previous + (target - previous) / excess

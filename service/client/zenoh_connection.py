@@ -10,7 +10,7 @@ from zenoh.handlers import RingChannel
 
 from graspforce.core.errors import ServiceError
 from graspforce.service.wire.stream_authentication import COMMAND, STATE, MessageSigner, MessageVerifier
-from graspforce.service.zenoh_session import describe_zenoh_error
+from graspforce.service.zenoh_session import describe_zenoh_error, read_encoding
 
 _RING_SIZE = 16  # commands; forged ones fill the ring beside the genuine one
 
@@ -70,7 +70,7 @@ class ZenohConnection:
                 payload, attachment = sample.payload.to_bytes(), sample.attachment
                 code = b"" if attachment is None else attachment.to_bytes()
                 if self._verifier is None or self._verifier.accept(payload, code):
-                    newest = payload, str(sample.encoding)
+                    newest = payload, read_encoding(sample.encoding)
         except zenoh.ZError:  # closed
             return newest
         return newest

@@ -19,7 +19,7 @@ from graspforce.service.recording.recorder import Recorder
 from graspforce.service.server.server_stream import ServerStream
 from graspforce.service.wire import protocol
 from graspforce.service.wire.reply import Reply, make_error_reply
-from graspforce.service.zenoh_session import describe_zenoh_error
+from graspforce.service.zenoh_session import MSGPACK_ENCODING, describe_zenoh_error, read_encoding
 
 log = logging.getLogger("graspforce.service")
 
@@ -75,15 +75,15 @@ class StreamChannel:
                 return
             if sample is None:
                 continue
-            payload, encoding, received = sample.payload.to_bytes(), str(sample.encoding), time.perf_counter()
+            payload, encoding, received = *sample, time.perf_counter()
             reply = command(payload, encoding, received)
             if self._may_answer():
                 self._put(reply)
             if self._recorder is not None:
                 self._recorder.offer(recorded(STATE, self._stream.id, received, (payload, encoding), reply))
 
-    def _receive_genuine(self) -> zenoh.Sample | None:
-        """Wait for states, and return the newest genuine one, or None.
+    def _receive_genuine(self) -> tuple[bytes, str] | None:
+        """Wait for states, and return payload and encoding of the newest genuine one, or None.
 
         Raises:
             zenoh.ZError: the channel is closed.
@@ -91,15 +91,16 @@ class StreamChannel:
         handler, newest = self._states.handler, None
         sample: zenoh.Sample | None = handler.recv()
         while sample is not None:
-            attachment = sample.attachment
-            if self._stream.accepts(sample.payload.to_bytes(), b"" if attachment is None else attachment.to_bytes()):
-                newest = sample
+            payload, attachment = sample.payload.to_bytes(), sample.attachment
+            if self._stream.accepts(payload, b"" if attachment is None else attachment.to_bytes()):
+                newest = payload, read_encoding(sample.encoding)
             sample = handler.try_recv()
         return newest
 
     def _put(self, reply: Reply) -> None:
         """Publish a command or an error record."""
         try:
-            self._commands.put(reply.payload, encoding=reply.encoding, attachment=self._stream.sign(reply.payload))
+            encoding = MSGPACK_ENCODING if reply.encoding == protocol.MSGPACK else reply.encoding
+            self._commands.put(reply.payload, encoding=encoding, attachment=self._stream.sign(reply.payload))
         except zenoh.ZError as error:
             log.warning("cannot send a command of stream %s: %s", self._stream.id, describe_zenoh_error(error))

@@ -1,12 +1,14 @@
-"""Commands of a stream with binary arrays in MessagePack, encoded by compiled code.
+"""Commands of a stream with binary arrays in MessagePack, encoded and read by compiled code.
 
 Most commands have the same parts: torques, forces, and the memory of a step. They need neither a Python object for each array
-nor the general encoder. The payload equals that of `CommandRecord`, byte by byte.
+nor the general encoder. The payload equals that of `CommandRecord`, byte by byte. A client reads the torques and checks the
+other arrays; it decodes these when they are read first.
 """
 
 from __future__ import annotations
 
-from typing import cast
+from functools import cached_property
+from typing import Any, ClassVar, cast
 
 import msgspec
 
@@ -14,7 +16,11 @@ from graspforce.control import Command, ControlMemory
 from graspforce.control.command import read_step_arrays
 from graspforce.core.arrays import Array
 from graspforce.core.compiled import native
-from graspforce.service.wire.command_records import CommandRecord
+from graspforce.grasp.grasp import Grasp
+from graspforce.service.wire.command_records import CommandRecord, RemoteCommand
+from graspforce.service.wire.memory_records import to_array
+
+_decode_record = msgspec.msgpack.Decoder(CommandRecord).decode
 
 
 class BinaryCommand(msgspec.Struct):
@@ -79,3 +85,52 @@ def _has_other_parts(memory: ControlMemory) -> bool:
 
 
 AnyCommand = CommandRecord | BinaryCommand
+
+
+class CommandMessage(msgspec.Struct, frozen=True, eq=False, dict=True):
+    """A received command: its torque and facts, and the payload with the rest.
+
+    Args:
+        payload: the encoded record.
+        torque: bytes of the float64 torques, N·m.
+        warnings: as in `CommandRecord`.
+        late: as in `CommandRecord`.
+        server_seconds: as in `CommandRecord`, s.
+        sequence: as in `CommandRecord`.
+        time: as in `CommandRecord`, s.
+        saturated: as in `CommandRecord`.
+        held: as in `CommandRecord`.
+    """
+
+    payload: bytes
+    torque: bytes
+    warnings: tuple[str, ...]
+    late: bool
+    server_seconds: float
+    sequence: int
+    time: float
+    saturated: bool
+    held: bool
+    estimate: ClassVar[Any] = None
+    contact_change: ClassVar[Any] = None
+
+    @cached_property
+    def record(self) -> CommandRecord:
+        """The complete record."""
+        return _decode_record(self.payload)
+
+
+def read_binary_command(payload: bytes, grasp: Grasp) -> RemoteCommand | None:
+    """Return a command; None if `CommandRecord` must decode it: another form, or no compiled code.
+
+    Args:
+        payload: the encoded record.
+        grasp: grasp of the stream; it determines the sizes of the arrays.
+    """
+    if native is None:
+        return None
+    found = native.read_stream_command(payload, grasp.hand.n, grasp.contacts.size, len(grasp.contacts))
+    if found is None:
+        return None
+    message = CommandMessage(payload, *found)
+    return RemoteCommand(to_array(message.torque), message.warnings, 0.0, message.late, False, message, grasp)

@@ -8,7 +8,7 @@ array on first use.
 from __future__ import annotations
 
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import msgspec
 import numpy as np
@@ -26,10 +26,30 @@ from graspforce.service.wire.change_records import ContactChangeRecord
 from graspforce.service.wire.estimate_record import EstimateRecord
 from graspforce.service.wire.memory_records import ControlMemoryRecord, WireMatrix, WireVector, to_array
 
-if TYPE_CHECKING:  # the estimator needs SciPy
-    pass
-
 _FLOAT_BYTES = 8  # bytes of a float64
+
+
+class ReceivedCommand(Protocol):
+    """A command as it was received: the facts that each period needs, and the complete record."""
+
+    @property
+    def sequence(self) -> int | None: ...  # pragma: no cover
+    @property
+    def time(self) -> float | None: ...  # pragma: no cover
+    @property
+    def server_seconds(self) -> float: ...  # pragma: no cover
+    @property
+    def late(self) -> bool: ...  # pragma: no cover
+    @property
+    def saturated(self) -> bool: ...  # pragma: no cover
+    @property
+    def held(self) -> bool: ...  # pragma: no cover
+    @property
+    def estimate(self) -> EstimateRecord | None: ...  # pragma: no cover
+    @property
+    def contact_change(self) -> ContactChangeRecord | None: ...  # pragma: no cover
+    @property
+    def record(self) -> CommandRecord: ...  # pragma: no cover
 
 
 class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
@@ -43,7 +63,7 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
         age: time since the state that it answers was sent, s; 0 for the answer to a request.
         late: True if the age exceeds the validity of the stream: the torque is the watchdog's.
         resuming: True while the torque moves back to the server's, by at most `Watchdog.step` per period.
-        record: the command as it was received.
+        message: the command as it was received.
         grasp: hand, object and contacts of the command.
     """
 
@@ -52,8 +72,13 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
     age: float
     late: bool
     resuming: bool
-    record: CommandRecord
+    message: ReceivedCommand
     grasp: Grasp
+
+    @property
+    def record(self) -> CommandRecord:
+        """The complete record of the command."""
+        return self.message.record
 
     @cached_property
     def f(self) -> Array:
@@ -109,7 +134,7 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
     @property
     def saturated(self) -> bool:
         """True if a motor is at its limit."""
-        return self.record.saturated
+        return self.message.saturated
 
     @cached_property
     def uncontrollable(self) -> Array:
@@ -130,7 +155,7 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
     @property
     def forces_reused(self) -> bool:
         """True if no certified forces were found, so that `f` are the forces of the last step."""
-        return self.record.held
+        return self.message.held
 
     @cached_property
     def memory(self) -> ControlMemory:
@@ -145,12 +170,12 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
     @property
     def estimate(self) -> EstimateRecord | None:
         """Estimated state of the command; None in a stream without sensors."""
-        return self.record.estimate
+        return self.message.estimate
 
     @property
     def contact_change(self) -> ContactChangeRecord | None:
         """Fingers at the contacts, and whether they change; None in a stream whose contacts have not changed."""
-        return self.record.contact_change
+        return self.message.contact_change
 
     @cached_property
     def clearance(self) -> LinkGap | None:
@@ -166,12 +191,12 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
     @property
     def sequence(self) -> int | None:
         """Sequence number of the state or request that it answers."""
-        return self.record.sequence
+        return self.message.sequence
 
     @property
     def server_seconds(self) -> float:
         """Time from receipt to answer at the server, s."""
-        return self.record.server_seconds
+        return self.message.server_seconds
 
     def __str__(self) -> str:
         """Return a table of the contacts, and lines with the phase of the stream, torques and warnings."""
@@ -280,6 +305,11 @@ class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=Tr
     contact_change: ContactChangeRecord | None = None
     clearance: ClearanceRecord | None = None
     winding_temperature: WireVector | None = None
+
+    @property
+    def record(self) -> CommandRecord:
+        """The record itself: it is complete."""
+        return self
 
     @classmethod
     def pack(cls, command: Command, memory: ControlMemory, binary: bool = False, has_drive: bool = False) -> CommandRecord:

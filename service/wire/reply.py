@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
+
+import msgspec
 
 from graspforce.core.errors import BackendError, InvalidInput, ModelError, RequestRefused
 from graspforce.core.printable import escape_controls
@@ -14,8 +15,7 @@ from graspforce.service.wire import protocol
 log = logging.getLogger("graspforce.service")
 
 
-@dataclass(frozen=True, slots=True)
-class Reply:
+class Reply(msgspec.Struct, frozen=True):
     """A reply, ready to be sent.
 
     Args:

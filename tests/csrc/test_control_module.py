@@ -551,7 +551,7 @@ def test_layouts_are_float64_arrays_without_gaps() -> None:
 
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler")
 def test_c_code_is_clean_under_sanitizers(tmp_path: Path) -> None:
-    """A build with both sanitizers and all warnings computes with odd numbers."""
+    """A build with both sanitizers and all warnings computes with odd numbers, and reads damaged messages."""
     found = subprocess.run([COMPILER, "-print-file-name=libasan.so"], capture_output=True, text=True, check=False)
     library = found.stdout.strip()
     if not os.path.isabs(library):
@@ -561,11 +561,20 @@ def test_c_code_is_clean_under_sanitizers(tmp_path: Path) -> None:
     flags += ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", f"-I{sysconfig.get_paths()['include']}"]
     sources = [SOURCES / "python/control_module.c", *sorted((SOURCES / "control").glob("*.c"))]
     subprocess.run([COMPILER, *flags, *map(str, sources), "-lm", "-o", str(module)], check=True)
-    # Leaks are not reported: the interpreter keeps memory until it ends.
+    # Leaks are not reported: the interpreter keeps memory until it ends. Python's own allocator would hide small overruns.
     environment = {**os.environ, "LD_PRELOAD": library, "ASAN_OPTIONS": "detect_leaks=0", "OPENBLAS_NUM_THREADS": "1"}
-    script = Path(__file__).parents[1] / "support" / "odd_control_numbers.py"
-    done = subprocess.run(
-        [sys.executable, str(script), str(module)], env=environment, capture_output=True, text=True, timeout=120, check=False
-    )
+    environment["PYTHONMALLOC"] = "malloc"
+    support = Path(__file__).parents[1] / "support"
+    numbers = run_script([support / "odd_control_numbers.py", module], environment)
+    assert min(numbers) > 100  # joint accelerations and poses found in spite of the odd numbers
+    states, commands, genuine = run_script([support / "odd_messages.py", module, 2000], environment)
+    assert min(states, commands) > 10  # damaged numbers are numbers, too
+    assert genuine in (0, 2000)  # 0 on processors without SHA instructions
+
+
+def run_script(arguments: list[object], environment: dict[str, str]) -> list[int]:
+    """Return the integers that a script prints."""
+    command = [sys.executable, *map(str, arguments)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert min(map(int, done.stdout.split())) > 100  # joint accelerations and poses found in spite of the odd numbers
+    return [int(number) for number in done.stdout.split()]

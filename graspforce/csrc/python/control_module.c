@@ -1,6 +1,6 @@
 /* The Python module graspforce.core._native: contact kinematics, contact poses and their fusion with measured poses,
- * contact forces, slip, friction, payload, a filter of joints, motions of bodies, joint accelerations, joint friction, states of control
- * streams, and the type ControlStep.
+ * contact forces, slip, friction, payload, a filter of joints, motions of bodies, joint accelerations, joint friction, messages of control
+ * streams and their authentication, and the types ControlStep and MessageCode.
  *
  * Functions take keyword arguments: float64 arrays, and the arrays that they write. Those of control streams, which must be quickest,
  * take positional ones. The module keeps no state. */
@@ -10,12 +10,15 @@
 #include "friction_bounds_function.inc"
 #include "friction_function.inc"
 #include "joint_filter_function.inc"
+#include "message_code_type.inc"
 #include "payload_function.inc"
 #include "pose_fusion_function.inc"
 #include "slip_function.inc"
 #include "stream_check_functions.inc"
 #include "stream_command_function.inc"
+#include "stream_command_reader.inc"
 #include "stream_state_function.inc"
+#include "stream_state_writer.inc"
 
 /* Copy row i of an array. */
 static void gf_read_vector(const Py_buffer *view, Py_ssize_t i, gf_vector3 x)
@@ -277,6 +280,8 @@ static PyMethodDef functions[] = {
     {"read_stream_state", (PyCFunction)(void (*)(void))gf_py_read_stream_state, METH_FASTCALL, read_stream_state_doc},
     {"join_stream_state", (PyCFunction)(void (*)(void))gf_py_join_stream_state, METH_FASTCALL, join_stream_state_doc},
     {"write_stream_command", gf_py_write_stream_command, METH_VARARGS, write_stream_command_doc},
+    {"read_stream_command", (PyCFunction)(void (*)(void))gf_py_read_stream_command, METH_FASTCALL, read_stream_command_doc},
+    {"write_stream_state", (PyCFunction)(void (*)(void))gf_py_write_stream_state, METH_FASTCALL, write_stream_state_doc},
     {"is_plausible_state", (PyCFunction)(void (*)(void))gf_py_is_plausible_state, METH_FASTCALL, is_plausible_state_doc},
     {"torque_step_ratio", (PyCFunction)(void (*)(void))gf_py_torque_step_ratio, METH_FASTCALL, torque_step_ratio_doc},
     {"has_finite_sum", (PyCFunction)(void (*)(void))gf_py_has_finite_sum, METH_FASTCALL, has_finite_sum_doc},
@@ -285,6 +290,7 @@ static PyMethodDef functions[] = {
 };
 static PyModuleDef_Slot slots[] = {{Py_mod_exec, (void *)gf_py_add_step_type},
                                    {Py_mod_exec, (void *)gf_py_add_state_flags},
+                                   {Py_mod_exec, (void *)gf_py_add_message_code},
                                    {0, NULL}};
 static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, .m_name = "_native", .m_size = 0, .m_methods = functions,
                                         .m_slots = slots};
