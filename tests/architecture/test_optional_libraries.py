@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from graspforce import problems
 from graspforce.core.errors import MissingLibrary
 from graspforce.core.optional_libraries import LIBRARIES, optional_imports, require_libraries
 
@@ -80,7 +81,7 @@ def test_commands_end_with_one_line_that_names_the_extra(command: list[str], ext
 
 
 def test_command_solves_without_optional_libraries() -> None:
-    problem = str(ROOT / "problems" / "ring" / "3-force.json")
+    problem = str(Path(problems.__file__).parent / "ring" / "3-force.json")
     done = run(f"from graspforce.cli import main\nsys.exit(main(['solve', {problem!r}]))")
     assert done.returncode == 0, done.stderr
     assert "optimal" in done.stdout.lower()
