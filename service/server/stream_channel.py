@@ -49,6 +49,7 @@ class StreamChannel:
         self._stream, self._may_answer, self._recorder = stream, may_answer, recorder
         self._commands = session.declare_publisher(f"{key}/command", congestion_control=zenoh.CongestionControl.DROP)
         self._states = session.declare_subscriber(f"{key}/state", RingChannel(1 if stream.key is None else _RING_SIZE))
+        self._handler = self._states.handler  # here: `close` in another thread blocks this attribute for a moment
         self._thread = threading.Thread(target=self._run, name=f"stream-{stream.id}", daemon=True)
         self._thread.start()
 
@@ -88,7 +89,7 @@ class StreamChannel:
         Raises:
             zenoh.ZError: the channel is closed.
         """
-        handler, newest = self._states.handler, None
+        handler, newest = self._handler, None
         sample: zenoh.Sample | None = handler.recv()
         while sample is not None:
             payload, attachment = sample.payload.to_bytes(), sample.attachment
