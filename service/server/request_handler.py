@@ -258,7 +258,7 @@ class RequestHandler:
         codec, sequence = protocol.JSON, None
         try:
             codec = protocol.select_codec(encoding)
-            sequence = protocol.find_sequence(protocol.decode(payload, codec)) if len(payload) <= MAX_PARSED_BYTES else None
+            sequence = protocol.read_sequence(payload, codec) if len(payload) <= MAX_PARSED_BYTES else None
         except InvalidInput:
             pass  # the refusal has priority over errors in the request
         self._statistics.count(self._statistics_key(key), code)

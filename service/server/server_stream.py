@@ -281,7 +281,4 @@ def answer_control_request(request: ControlRequest) -> JsonRecord:
 
 def _find_sequence(payload: bytes, codec: str) -> int | None:
     """Return the sequence number of an invalid state if it can be read."""
-    try:
-        return protocol.find_sequence(protocol.decode(payload, codec)) if len(payload) <= _MAX_STATE_BYTES else None
-    except InvalidInput:
-        return None
+    return protocol.read_sequence(payload, codec) if len(payload) <= _MAX_STATE_BYTES else None

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -157,6 +158,30 @@ def find_sequence(request: object) -> int | None:
     if not isinstance(sequence, int) or isinstance(sequence, bool):
         return None
     return sequence if 0 <= sequence <= LARGEST_SEQUENCE else None
+
+
+class _Numbered(msgspec.Struct):
+    """The sequence number of a request, of any type."""
+
+    sequence: Any = None
+
+
+_decode_numbered = msgspec.msgpack.Decoder(_Numbered).decode
+
+
+def read_sequence(payload: bytes, codec: str) -> int | None:
+    """Return the sequence number of a request without its other fields; None if it has none, or cannot be read.
+
+    In MessagePack this takes a fraction of the time of `decode`.
+
+    Args:
+        payload: bytes of a message.
+        codec: `JSON` or `MSGPACK`.
+    """
+    try:
+        return find_sequence({"sequence": _decode_numbered(payload).sequence} if codec == MSGPACK else decode(payload, codec))
+    except (InvalidInput, msgspec.MsgspecError, ValueError, TypeError, RecursionError, OverflowError):
+        return None
 
 
 def error_record(

@@ -138,3 +138,21 @@ def test_error_record_becomes_the_exception_of_its_code():
 def test_hand_name_with_key_characters_is_rejected(name):
     with pytest.raises(UnknownName):
         protocol.hand_key(name)
+
+
+@pytest.mark.parametrize("codec", [JSON, MSGPACK])
+@given(
+    sequence=st.none() | st.booleans() | st.integers(-2, 2**63) | st.text(max_size=3) | st.lists(st.integers(0, 9), max_size=2)
+)
+def test_sequence_is_read_without_the_other_fields(codec, sequence):
+    record = {"first": [1, {"sequence": 7}], "sequence": sequence, "last": "x"}
+    payload = protocol.encode(record, codec)
+    assert protocol.read_sequence(payload, codec) == protocol.find_sequence(record)
+    assert protocol.read_sequence(payload[:-1], codec) is None
+
+
+@pytest.mark.parametrize("codec", [JSON, MSGPACK])
+@given(payload=st.binary(max_size=60))
+def test_random_bytes_have_at_most_a_valid_sequence(codec, payload):
+    found = protocol.read_sequence(payload, codec)
+    assert found is None or 0 <= found <= protocol.LARGEST_SEQUENCE
