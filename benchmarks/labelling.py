@@ -1,9 +1,10 @@
 """Problems labelled on Dask workers in separate processes: `python -m benchmarks.labelling --save FILE`.
 
 `graspforce.solve_many` labels the problems of the library, repeated, from one Parquet file to a folder of Parquet files, with
-one worker and with two workers of one thread each. Then one of two workers is killed when half of the parts are written.
-The runs with one worker and with a killed one can have fewer rows (`--short`). *Ratio* is that of the rates. *Whole*: every row is there once. *CPU*: processor time of the workers per row, which other programs on the machine change less
-than the rate. Workers import the package before the clock starts.
+one worker and with two workers of one thread each. Then one of two workers is killed when half of the parts are written. The
+runs with one worker and with a killed one can have fewer rows (`--short`). *Ratio* is that of the rates. *Whole*: every row is
+there once. *CPU*: processor time of the workers per row, which other programs on the machine change less than the rate.
+Workers import the package before the clock starts.
 """
 
 from __future__ import annotations
