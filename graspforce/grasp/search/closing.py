@@ -88,6 +88,19 @@ class TouchScene:
         pairs = np.stack([np.arange(self._object), np.full(self._object, self._object)], axis=1)
         return self._distances(self._poses(q, p_HO, R_HO), pairs, near)
 
+    def part_gap(self, q: Array, p_HO: Array, R_HO: Array, chosen: Indices, near: float = 0.02) -> float:
+        """Return the least distance of some links' bodies from the object, m; `near` if it is larger.
+
+        Args:
+            q: (n,) posture, rad.
+            p_HO: (3,) position of the object in H, m.
+            R_HO: (3, 3) axes of the object in H.
+            chosen: indices of the bodies.
+            near: distance above which bodies count as far, m.
+        """
+        pairs = np.stack([chosen, np.full(len(chosen), self._object)], axis=1)
+        return float(self._distances(self._poses(q, p_HO, R_HO), pairs, near)[0].min(initial=near))
+
     def link_gap(self, q: Array) -> float:
         """Return the least distance of links that must not touch, m.
 
@@ -144,7 +157,7 @@ class TouchScene:
             start = q
 
             def gap(s: float, start: Array = start, d: Array = d, moving: Indices = moving) -> float:
-                return self._least(start + s * d, p_HO, R_HO, moving)
+                return self.least_gap(start + s * d, p_HO, R_HO, moving)
 
             s = self.first_touch(gap, float(room.min()), _STEP)
             q = start + s * d
@@ -156,7 +169,7 @@ class TouchScene:
             free = [k for k in free if k not in stopped and k not in limited]
         return q
 
-    def _least(self, q: Array, p_HO: Array, R_HO: Array, moving: Indices) -> float:
+    def least_gap(self, q: Array, p_HO: Array, R_HO: Array, moving: Indices) -> float:
         """Return the least distance of some links from the object and from links that they must not touch, m."""
         poses, near = self._poses(q, p_HO, R_HO), 0.02
         own = np.flatnonzero(np.isin(self._frames[:-1], moving))

@@ -3,10 +3,11 @@
 Each candidate places the object against a part of the hand and then closes fingers around it:
 
 - *power*: the object lies on the palm, and all fingers close. The palm and an inner link of a finger touch at least.
-- *lateral*: the object lies against the side of the index finger, and the thumb closes onto it.
+- *lateral*: the object lies against the side of the index finger, and the thumb closes onto it; see `lateral`.
 
-The collision shapes of the links touch; contacts on an edge of the object are left out, because it has no normal there. Every
-candidate is checked for force closure, forces within the motors' limits under each gravity, and overlaps.
+The collision shapes of the links touch. Contacts on an edge of the object are left out, because it has no normal there, and so
+are those on the convex hull of a mesh over a hollow. Every candidate is checked for force closure, forces within the motors'
+limits under each gravity, and overlaps.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from graspforce.grasp.search.batch_kinematics import BatchKinematics, palm_norma
 from graspforce.grasp.search.checks import LoadRequirements, closure_quality
 from graspforce.grasp.search.closing import GAP, ClosingFinger, TouchScene
 from graspforce.grasp.search.grasp_class import ENVELOPING_CLASSES, GraspClass
+from graspforce.grasp.search.lateral import LateralSampler
 from graspforce.grasp.search.options import GraspSearchOptions, GraspSearchProgress, check_search
 from graspforce.grasp.search.sampling import random_axes, search_limits
 from graspforce.hand.hand import Hand
@@ -43,11 +45,11 @@ _OPEN_SHARE = (0.3, 1.0)  # of the way from neutral to its open end, at which a 
 _OPENINGS = 6  # postures, each nearer to neutral, of which the first without overlaps is taken
 _SIDE_SHARE = 0.3  # of half its range around neutral, in which the other joints are sampled
 _PLACE_SPREAD = 0.03  # m, of the object along the palm
-_TILT = 0.3  # rad, of the lateral class: of the approach to the index finger
 _FAR = 0.25  # m, from which the object approaches
 _APPROACH_STEP = 0.004  # m
 _SAME_POINT = 1e-3  # m: nearer contacts of one link count once
 _COINCIDENT = 1e-5  # m: the same of two links, which touch a corner of a mesh
+_OFF_SURFACE = 1e-3  # m: largest distance of a contact on the convex hull of a mesh from its surface
 _TIE = 4.0 * GAP  # m: links this near touch
 
 
@@ -130,30 +132,28 @@ class _Sampler:
         self.fingers = _closing_fingers(hand, kinematics, self._bases.mean(axis=0) + _HEIGHT * self._normal)
         self.palm = set(range(-1, len(kinematics.links))) - {frame for finger in self.fingers for frame in finger.frames}
         names = [finger.name.lower() for finger in hand.fingers]
-        self._thumb = next((i for i, name in enumerate(names) if "thumb" in name), None)
-        others = [i for i in range(len(names)) if i != self._thumb]
-        self._first = next((i for i in others if any(each in names[i] for each in ("index", "first", "fore"))), others[0])
-        if grasp_class is GraspClass.LATERAL and self._thumb is None:
-            raise InvalidInput("grasp_class", grasp_class.value, f"another class: {hand.name} has no thumb")
+        thumb = next((i for i, name in enumerate(names) if "thumb" in name), None)
+        others = [i for i in range(len(names)) if i != thumb]
+        first = next((i for i in others if any(each in names[i] for each in ("index", "first", "fore"))), others[0])
+        self._lateral: LateralSampler | None = None
+        if grasp_class is GraspClass.LATERAL:
+            if thumb is None:
+                raise InvalidInput("grasp_class", grasp_class.value, f"another class: {hand.name} has no thumb")
+            self._lateral = LateralSampler(hand, shape, kinematics, self.scene, self.fingers, thumb, first)
 
     def sample(self, rng: np.random.Generator) -> tuple[Array, Array, Array] | None:
         """Return posture, position and axes of the object of a random candidate; None if the object does not get in place."""
+        if self._lateral is not None:
+            return self._lateral.sample(rng)
         q = self._open_posture(rng)
         if q is None:
             return None
-        if self.grasp_class is GraspClass.POWER:
-            R_HO = random_axes(self._normal[None], rng)[0]
-            target = self._bases.mean(axis=0) + _PLACE_SPREAD * rng.uniform(-1.0, 1.0, 3)
-            placed = self._approach(q, target, -self._normal, R_HO, self.palm)
-            closing = self.fingers
-        else:
-            direction, target = self._side_of_first(q, rng)
-            R_HO = random_axes(direction[None], rng)[0]
-            placed = self._approach(q, target, direction, R_HO, set(self.fingers[self._first].frames))
-            closing = tuple(finger for finger in self.fingers if finger.name == self.hand.fingers[self._thumb or 0].name)
+        R_HO = random_axes(self._normal[None], rng)[0]
+        target = self._bases.mean(axis=0) + _PLACE_SPREAD * rng.uniform(-1.0, 1.0, 3)
+        placed = self._approach(q, target, -self._normal, R_HO, self.palm)
         if placed is None:
             return None
-        for finger in closing:
+        for finger in self.fingers:
             q = self.scene.close(finger, q, placed, R_HO)
         return q, placed, R_HO
 
@@ -161,14 +161,12 @@ class _Sampler:
         """Return a posture between neutral and the open ends of the closing joints; None if links overlap there."""
         hand, (lower, upper) = self.hand, self.limits
         sideways = hand.neutral + _SIDE_SHARE * (upper - lower) / 2.0 * rng.uniform(-1.0, 1.0, hand.n)
-        share, curl = rng.uniform(*_OPEN_SHARE, hand.n), rng.uniform(0.2, 0.9)  # curl: of the lateral class
+        share = rng.uniform(*_OPEN_SHARE, hand.n + 1)[:-1]  # one more, so that seeds keep the grasps of earlier versions
         for _ in range(_OPENINGS):
             q = np.array(sideways)
-            for f, finger in enumerate(self.fingers):
-                is_curled = self.grasp_class is GraspClass.LATERAL and f != self._thumb
+            for finger in self.fingers:
                 for j, sign in zip(finger.joints, finger.signs, strict=True):
-                    towards = upper[j] if (sign > 0.0) == is_curled else lower[j]
-                    q[j] = hand.neutral[j] + (curl if is_curled else share[j]) * (towards - hand.neutral[j])
+                    q[j] = hand.neutral[j] + share[j] * ((lower[j] if sign > 0.0 else upper[j]) - hand.neutral[j])
             q = np.clip(q, lower, upper)
             overlapping = self.scene.overlapping_links(q)
             if not overlapping:
@@ -177,21 +175,7 @@ class _Sampler:
                 if overlapping & set(finger.frames):  # nearer to neutral
                     own = list(each.joints)
                     share[own], sideways[own] = 0.5 * share[own], 0.5 * (sideways[own] + hand.neutral[own])
-            curl *= 0.9
         return None
-
-    def _side_of_first(self, q: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Return the direction in which the object approaches the index finger's side, and a point in the finger, m."""
-        links = self.fingers[self._first].frames
-        origins = self.hand.model.joint_origins(q)
-        ends = np.array([*origins[list(links)], self.hand.tip_pose(q, self.fingers[self._first].name)[0]])
-        k = int(rng.integers(max(len(ends) - 2, 1), len(ends)))
-        target = ends[k - 1] + rng.uniform(0.2, 0.9) * (ends[k] - ends[k - 1])
-        thumb = self.hand.tip_pose(q, self.hand.fingers[self._thumb or 0].name)[0]
-        along = ends[k] - ends[k - 1]
-        direction = target - thumb + np.linalg.norm(target - thumb) * _TILT * rng.normal(size=3)
-        direction -= along * (direction @ along) / max(float(along @ along), 1e-12)
-        return direction / np.linalg.norm(direction), target
 
     def _approach(self, q: Array, target: Array, direction: Array, R_HO: Array, frames: set[int]) -> Array | None:
         """Return where a moving object first touches one of some links; None if it overlaps others there."""
@@ -274,6 +258,8 @@ def _contacts(
             p = sampler.shape.project_to_surface((points[k, 1] - p_HO) @ R_HO)
             normal = sampler.shape.inward_normal(p)
         except InvalidInput:  # an edge
+            continue
+        if np.linalg.norm((points[k, 1] - p_HO) @ R_HO - p) > _OFF_SURFACE:  # on the hull of a mesh, over a hollow
             continue
         seen = zip(links, contacts, strict=True)
         if any(np.linalg.norm(p - e.position) < (_SAME_POINT if name == body.name else _COINCIDENT) for name, e in seen):

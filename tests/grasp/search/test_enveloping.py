@@ -11,7 +11,7 @@ import pytest
 import graspforce as gf
 from graspforce.contact.closure import is_force_closed
 from graspforce.core.errors import InvalidInput
-from graspforce.geometry import Cylinder, Solid, Sphere
+from graspforce.geometry import Box, Cylinder, Solid, Sphere
 from graspforce.grasp.link_grasp import LinkGrasp
 from graspforce.grasp.search import GraspClass, GraspSearchOptions, find_grasp, find_link_grasp
 from graspforce.grasp.search.batch_kinematics import BatchKinematics
@@ -23,6 +23,9 @@ CASES: dict[str, tuple[str, Solid, str, float | None]] = {
     "ball in the Allegro hand": ("allegro_right", Sphere(0.03), "power", None),
     "ball in the DLR hand": ("dlr_hit2", Sphere(0.03), "power", None),
     "pen at the index finger": ("allegro_right", Cylinder(0.008, 0.08), "lateral", PADS),
+    "plate at the index finger": ("dlr_hit2", Box([0.06, 0.014, 0.029]), "lateral", PADS),
+    "ball at the index finger": ("leap_right", Sphere(0.027), "lateral", PADS),
+    "cube at the first finger": ("shadow_right", Box([0.03, 0.03, 0.03]), "lateral", PADS),
 }
 
 
@@ -67,11 +70,23 @@ def test_power_grasps_touch_with_the_palm_and_several_links_of_a_finger() -> Non
     assert max(fingers.count(name) for name in fingers) >= 2
 
 
-def test_lateral_grasps_touch_with_the_thumb_and_the_index_finger() -> None:
-    links = found("pen at the index finger").links
-    thumb, index = ("link_12", "link_13", "link_14", "link_15"), ("link_0.", "link_1.", "link_2.", "link_3.")
-    assert any(link.startswith(thumb) for link in links)
-    assert any(link.startswith(index) for link in links)
+@pytest.mark.parametrize("case", [name for name, case in CASES.items() if case[2] == "lateral"])
+def test_lateral_grasps_hold_between_thumb_and_index_finger_on_the_side_away_from_the_others(case: str) -> None:
+    grasp = found(case)
+    hand, names = grasp.hand, [finger.name for finger in grasp.hand.fingers]
+    thumb, first = names.index("thumb"), next(i for i, name in enumerate(names) if name in ("index", "first"))
+    kinematics = BatchKinematics(hand)
+    frames = [hand.model.carrier_of(link)[0] for link in grasp.links]
+    at_thumb = [i for i, frame in enumerate(frames) if frame in kinematics.own_links[thumb]]
+    at_first = [i for i, frame in enumerate(frames) if frame in kinematics.own_links[first]]
+    assert at_thumb
+    assert at_first
+    motion = kinematics.evaluate(grasp.q[None])
+    outwards = motion.R_HL[kinematics.own_links[first][-1]][0] @ kinematics.links[kinematics.own_links[first][-1]].axis
+    outwards = outwards * np.sign(outwards @ (motion.tip_centres[0, first] - motion.tip_centres[0, names.index("middle")]))
+    normals = grasp.contacts.R_OC[:, :, 2] @ grasp.R_HO.T
+    assert max(normals[i] @ outwards for i in at_first) > -0.1  # from the finger into the object
+    assert min(normals[i] @ normals[j] for i in at_thumb for j in at_first) < -0.8
 
 
 def test_equal_seeds_give_equal_grasps_and_files_return_them(tmp_path: Path) -> None:
