@@ -11,6 +11,8 @@ friction cones. A second one finds forces within the motors' limits that bear th
 The set *any* is the search without a class. Palmar pinch, parallel extension and lateral grasp are those of a thumb; the hand
 four_finger has none. A writing tripod applies to cylinders. Other programs shared the processor, so that times are upper
 bounds.
+
+Several machines run parts of the cases with `--slice K/N --records DIR`; `--merge FILE …` then adds their files to the records.
 """
 
 from __future__ import annotations
@@ -33,6 +35,7 @@ from benchmarks.lifecycle.grasp_checks import bears_weight, is_closed, penetrati
 from benchmarks.lifecycle.lump_meshes import lumps
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
+from graspforce.core.json_text import JsonRecord
 from graspforce.core.result_file import ResultFile, read_results
 from graspforce.geometry import Cylinder, Solid
 from graspforce.grasp.body import Body
@@ -82,6 +85,11 @@ class SearchRecord:
     directions: int = 0
 
     @property
+    def case(self) -> tuple[str, str, str, str]:
+        """Hand, kind and name of the object, and class."""
+        return self.hand, self.kind, self.name, self.grasp_class
+
+    @property
     def is_good(self) -> bool:
         """Whether a grasp was found in time and passes every check."""
         in_time = not self.fault and self.seconds <= BUDGET
@@ -98,28 +106,67 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--classes", default=",".join(CLASSES), help="names of grasp classes, or any")
     parser.add_argument("--objects", type=int, default=20, help="number of objects of each kind")
     parser.add_argument("--cases", type=int, help="largest number of cases (default: all)")
+    parser.add_argument(
+        "--slice", type=_slice, default=(1, 1), metavar="K/N", help="run part K of N of the cases (default: 1/1)"
+    )
+    parser.add_argument(
+        "--merge", type=Path, nargs="*", default=[], help="add the cases of other files of results, and run none"
+    )
 
 
 def run(path: Path, options: argparse.Namespace) -> None:
-    """Run the searches that are missing in a file of results.
+    """Run the searches that are missing in a file of results, or add those of other files.
 
     Args:
         path: the file.
         options: of the section.
     """
+    part, parts = options.slice
     conditions = {"mass": MASS, "friction": FRICTION, "pads": PADS, "budget": BUDGET, "stop": STOP, "link_stop": LINK_STOP}
     with ResultFile(path, SCHEMA, conditions) as results:
         known = [SearchRecord(**record) for record in results.records if isinstance(record, dict)]
-        done = {(each.hand, each.kind, each.name, each.grasp_class) for each in known}
+        done = {each.case for each in known}
+        for other in options.merge:
+            merge(results, read_results(other, SCHEMA), done)
+        if options.merge:
+            return
         names = [(kind, k) for kind in _KINDS for k in range(options.objects)]
         cases = list(product(names, options.hands.split(","), options.classes.split(",")))
         random.Random(0).shuffle(cases)
-        for (kind, k), hand, grasp_class in cases[: options.cases]:
+        for (kind, k), hand, grasp_class in cases[: options.cases][part - 1 :: parts]:
             thing = _objects()[kind][k]
             if _fits(hand, thing[1], grasp_class) and (hand, kind, thing[0], grasp_class) not in done:
                 record = _search(hand, kind, thing, grasp_class)
                 print(record, flush=True)
                 results.append(asdict(record))
+
+
+def merge(results: ResultFile, other: tuple[JsonRecord, list[object]], done: set[tuple[str, str, str, str]]) -> None:
+    """Add the cases of another file that are missing in a file of results.
+
+    Args:
+        results: the file of results.
+        other: conditions and results of the other file, as `read_results` returns them.
+        done: cases in the file of results; those that are added join.
+
+    Raises:
+        InvalidInput: the conditions differ.
+    """
+    conditions, records = other
+    if conditions != results.conditions:
+        raise InvalidInput("merge", conditions, f"a file with the conditions {results.conditions}")
+    for record in records:
+        if isinstance(record, dict) and (case := SearchRecord(**record).case) not in done:
+            results.append(record)
+            done.add(case)
+
+
+def _slice(text: str) -> tuple[int, int]:
+    """Return K and N of the text "K/N"."""
+    found = re.fullmatch(r"(\d+)/(\d+)", text)
+    if found is None or not 1 <= int(found[1]) <= int(found[2]):
+        raise argparse.ArgumentTypeError(f"{text!r}: must be K/N with 1 ≤ K ≤ N, such as 1/4")
+    return int(found[1]), int(found[2])
 
 
 @cache

@@ -24,6 +24,7 @@ class ResultFile:
 
     Attributes:
         path: the file.
+        conditions: first line of the file, with the schema.
         records: the results in the file, as plain records.
 
     Raises:
@@ -32,12 +33,12 @@ class ResultFile:
 
     def __init__(self, path: Path, schema: str, conditions: Mapping[str, object]) -> None:
         self.path = path
-        header: JsonRecord = json.loads(json.dumps({"schema": schema, **conditions}))
+        self.conditions: JsonRecord = json.loads(json.dumps({"schema": schema, **conditions}))
         path.parent.mkdir(parents=True, exist_ok=True)
         self._file = path.open("a", encoding="utf-8")
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            self.records = self._load(schema, header)
+            self.records = self._load(schema, self.conditions)
         except BlockingIOError:
             self._file.close()
             raise InvalidInput("results", str(path), "a file that no other process is writing") from None

@@ -14,7 +14,8 @@ from benchmarks.lifecycle import foreign, search
 from benchmarks.lifecycle.grasp_checks import bears_weight, is_closed, penetration
 from benchmarks.lifecycle.lump_meshes import Lump, lumps
 from graspforce.contact.contact import ContactSet
-from graspforce.core.result_file import ResultFile
+from graspforce.core.errors import InvalidInput
+from graspforce.core.result_file import ResultFile, read_results
 from graspforce.geometry import Sphere
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
@@ -112,3 +113,22 @@ def test_posture_page_counts_each_reason_of_a_refusal(tmp_path: Path) -> None:
     assert "| dlr_hit2 | 3 | 1 | 2 | 1 |" in page
     for line in ("- 1 × two links, or a link and the object, overlap", "- 1 × the repair moves a tip too far", "- 1 × other"):
         assert line in page
+
+
+def test_merged_records_hold_each_case_once_and_need_equal_conditions(tmp_path: Path) -> None:
+    def record(name: str) -> dict[str, object]:
+        return asdict(search.SearchRecord("leap_right", "IST", name, "pinch", "", 1.0, 0.0, True, 6))
+
+    paths = [tmp_path / f"{k}.jsonl" for k in range(3)]
+    for path, names, mass in zip(paths, (("ball", "pen"), ("pen", "cube"), ("can",)), (0.05, 0.05, 0.06), strict=True):
+        with ResultFile(path, search.SCHEMA, {"mass": mass}) as file:
+            for name in names:
+                file.append(record(name))
+    with ResultFile(paths[0], search.SCHEMA, {"mass": 0.05}) as file:
+        done = {search.SearchRecord(**each).case for each in file.records if isinstance(each, dict)}
+        search.merge(file, read_results(paths[1], search.SCHEMA), done)
+        search.merge(file, read_results(paths[1], search.SCHEMA), done)
+        with pytest.raises(InvalidInput, match="conditions"):
+            search.merge(file, read_results(paths[2], search.SCHEMA), done)
+    merged = read_results(paths[0], search.SCHEMA)[1]
+    assert [each["name"] for each in merged if isinstance(each, dict)] == ["ball", "pen", "cube"]
