@@ -33,7 +33,7 @@ from benchmarks.timing import pin
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, GraspState
 from graspforce.control.object_control_law import ObjectControlLaw
-from graspforce.control.output_feedback import OutputFeedbackLaw, OutputFeedbackStep
+from graspforce.control.output_feedback_law import OutputFeedbackLaw, OutputFeedbackStep
 from graspforce.core.compiled import native
 from graspforce.estimation import CameraModel, Measurement, PoseMeasurement, SensorModel
 from graspforce.grasp.grasp import Grasp

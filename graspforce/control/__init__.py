@@ -30,7 +30,8 @@ from graspforce.control.uncertain_settings import settings_for_errors
 from graspforce.core.lazy import lazy_exports
 
 if TYPE_CHECKING:
-    from graspforce.control.output_feedback import OutputFeedbackController, OutputFeedbackLaw, OutputFeedbackMemory
+    from graspforce.control.output_feedback import OutputFeedbackController
+    from graspforce.control.output_feedback_law import OutputFeedbackLaw, OutputFeedbackMemory
 
 __all__ = [
     "Command",
@@ -60,6 +61,13 @@ __all__ = [
     "write_controller",
 ]
 
-_OUTPUT_FEEDBACK = ("OutputFeedbackController", "OutputFeedbackLaw", "OutputFeedbackMemory")
+_LAW = "graspforce.control.output_feedback_law"
 
-__getattr__ = lazy_exports(__name__, dict.fromkeys(_OUTPUT_FEEDBACK, "graspforce.control.output_feedback"))
+__getattr__ = lazy_exports(
+    __name__,
+    {
+        "OutputFeedbackController": "graspforce.control.output_feedback",
+        "OutputFeedbackLaw": _LAW,
+        "OutputFeedbackMemory": _LAW,
+    },
+)

@@ -95,8 +95,7 @@ class Stream(CommandStream[RemoteCommand]):
             change: fingers that let go, and contacts of fingers that join. These fingertips are at their contacts.
 
         Raises:
-            InvalidInput: another change is in progress, a finger that joins has a contact, no contact would be left, or the
-                stream has sensors.
+            InvalidInput: another change is in progress, a finger that joins has a contact, or no contact would be left.
             UnknownName: no such finger, or a finger that lets go has no contact.
         """
         self._changes.request(change)

@@ -8,6 +8,7 @@ import numpy as np
 
 from graspforce.contact.contact import ContactSet
 from graspforce.control import ContactChange, GraspState
+from graspforce.core.arrays import Array
 from graspforce.core.errors import ErrorReply, InvalidInput, ServiceError
 from graspforce.estimation.measurement import Measurement
 from graspforce.estimation.pose.pose_fusion import PoseOffset
@@ -15,6 +16,7 @@ from graspforce.grasp.grasp import Grasp
 from graspforce.service.wire.change_records import NumberedChange
 from graspforce.service.wire.command_records import CommandRecord, RemoteCommand
 from graspforce.service.wire.control_records import StreamSetup
+from graspforce.service.wire.estimate_record import EstimateRecord
 from graspforce.service.wire.memory_records import to_array
 
 
@@ -35,7 +37,7 @@ class StreamChanges:
         self.pending: NumberedChange | None = None
         self.error: ServiceError | None = None
         self._number = setup.change_number  # of the last change that was requested
-        self._has_sensors, self._is_changing = setup.sensors is not None, False
+        self._is_changing = False
         self._contacts = dict(zip(setup.grasp.fingers, setup.grasp.contacts.contacts, strict=True))
 
     @property
@@ -55,11 +57,9 @@ class StreamChanges:
             change: the change.
 
         Raises:
-            InvalidInput: another change is in progress, the present grasp cannot change so, or the stream has sensors.
+            InvalidInput: another change is in progress, or the present grasp cannot change so.
             UnknownName: no such finger, or a finger that lets go has no contact.
         """
-        if self._has_sensors:
-            raise InvalidInput("sensors", "given", "None: contacts of a stream with sensors do not change")
         change.check(self.grasp, self.is_changing)
         self._number, self.error = self._number + 1, None
         self._contacts.update(change.add)
@@ -77,7 +77,7 @@ class StreamChanges:
             ValueError: an array has the wrong size.
         """
         change, pending = record.contact_change, self.pending
-        if change is None or not isinstance(state, GraspState):
+        if change is None or state is None:
             return self.grasp
         has_joined = pending is not None and change.number == pending.number and len(pending.change.add) > 0
         if change.fingers == self.grasp.fingers and not has_joined:
@@ -89,8 +89,13 @@ class StreamChanges:
         if not len(p_OC) == len(R_OC) == len(modelled):
             raise ValueError("an array has the wrong size")
         contacts = dataclasses.replace(modelled, p_OC=p_OC, R_OC=R_OC)
-        pose = state.object
-        return Grasp(self.grasp.hand, self.grasp.body, change.fingers, contacts, state.q, pose.p_HO, pose.R_HO)
+        hand, body = self.grasp.hand, self.grasp.body
+        if isinstance(state, GraspState):
+            pose = state.object
+            return Grasp(hand, body, change.fingers, contacts, state.q, pose.p_HO, pose.R_HO)
+        if record.estimate is None:
+            raise ValueError("a command for a measurement has no estimate")
+        return Grasp(hand, body, change.fingers, contacts, *_estimated_pose(record.estimate))
 
     def accept(self, command: RemoteCommand) -> None:
         """Continue with the contacts of a good command.
@@ -131,11 +136,17 @@ def resumed_setup(setup: StreamSetup, last: RemoteCommand) -> StreamSetup:
         setup: setup of the stream.
         last: the last good command.
     """
+    number = setup.change_number if last.contact_change is None else last.contact_change.number
     if last.estimate is None:
-        number = setup.change_number if last.contact_change is None else last.contact_change.number
         return dataclasses.replace(setup, grasp=last.grasp, memory=last.memory, change_number=number)
     estimate = last.estimate
-    p, R = np.array(estimate.position), np.array(estimate.rotation)
+    q, p, R = _estimated_pose(estimate)
     fused_p, fused_R = np.array(estimate.fused_position), np.array(estimate.fused_rotation)
-    grasp = dataclasses.replace(setup.grasp, contacts=last.contacts, q=np.array(estimate.posture), p_HO=p, R_HO=R)
-    return dataclasses.replace(setup, grasp=grasp, memory=last.memory, offset=PoseOffset(R.T @ (fused_p - p), R.T @ fused_R))
+    grasp = dataclasses.replace(last.grasp, contacts=last.contacts, q=q, p_HO=p, R_HO=R)
+    offset = PoseOffset(R.T @ (fused_p - p), R.T @ fused_R)
+    return dataclasses.replace(setup, grasp=grasp, memory=last.memory, offset=offset, change_number=number)
+
+
+def _estimated_pose(estimate: EstimateRecord) -> tuple[Array, Array, Array]:
+    """Return the estimated posture, rad, and the position, m, and axes of the object in H."""
+    return np.array(estimate.posture), np.array(estimate.position), np.array(estimate.rotation)

@@ -12,22 +12,21 @@ from typing import Any, Protocol
 import msgspec
 
 from graspforce.control.object_control_law import ObjectControlLaw
-from graspforce.control.output_feedback import OutputFeedbackLaw
 from graspforce.core.errors import InvalidInput, RequestRefused
 from graspforce.core.json_text import JsonRecord
-from graspforce.estimation.measurement import Measurement
-from graspforce.service.server.exact_control import ExactControl, check_finite, make_silent_context, present_conditions
+from graspforce.service.server.exact_control import ExactControl, check_finite
 from graspforce.service.server.joint_control import JointControl
+from graspforce.service.server.measured_control import MeasuredControl
 from graspforce.service.server.phase_control import PhaseControl
 from graspforce.service.server.plausibility import StateGuard
 from graspforce.service.server.server_load import client_label
+from graspforce.service.server.silent_context import make_silent_context
 from graspforce.service.server.stream_heat import StreamHeat
 from graspforce.service.server.torque_step import TorqueStepLimit
 from graspforce.service.wire import protocol
 from graspforce.service.wire.binary_command import AnyCommand, BinaryCommand
 from graspforce.service.wire.command_records import ClearanceRecord, CommandRecord
 from graspforce.service.wire.control_records import ControlRequest, StreamSetup
-from graspforce.service.wire.estimate_record import EstimateRecord
 from graspforce.service.wire.joint_records import JointCommandRecord, JointStreamSetup
 from graspforce.service.wire.latency_histogram import LatencyHistogram
 from graspforce.service.wire.phase_records import PhaseCommandRecord, PhaseStreamSetup
@@ -41,7 +40,6 @@ from graspforce.service.wire.stream_authentication import (
     ownership_proof,
 )
 from graspforce.service.wire.stream_setups import AnySetup
-from graspforce.service.wire.stream_state import StreamState
 from graspforce.service.wire.stream_status import StreamStatus
 
 _EPOCH_BYTES = 8
@@ -228,36 +226,7 @@ def _make_control(setup: AnySetup, changes: Executor | None) -> _Control:
         return PhaseControl(setup)
     if isinstance(setup, JointStreamSetup):
         return JointControl(setup)
-    return ExactControl(setup, changes) if setup.sensors is None else _MeasuredControl(setup)
-
-
-class _MeasuredControl:
-    """Estimator, control law and memory of a stream whose states are measurements."""
-
-    def __init__(self, setup: StreamSetup) -> None:
-        self._law, self._grasp = OutputFeedbackLaw(setup.grasp, setup.settings, setup.sensors), setup.grasp
-        self._has_drive = not setup.grasp.hand.drives.is_ideal
-        self._clearance_steps = setup.settings.clearance_steps
-        self._memory = self._law.initial_memory(setup.memory, setup.offset)
-
-    def decode(self, payload: bytes, codec: str) -> StreamState:
-        """Return a state; see `StreamState.decode`."""
-        return StreamState.decode(self._grasp.hand, payload, codec)
-
-    def step(self, state: StreamState) -> CommandRecord:
-        """Return the command for a measurement, with the estimated state."""
-        if not isinstance(state.state, Measurement):
-            raise InvalidInput("state", "an exact state", "absent: a stream with sensors takes `measurement`")
-        if state.contacts is not None:
-            raise InvalidInput("contacts", state.contacts.to_dict(), "absent: contacts of a stream with sensors do not change")
-        conditions = present_conditions(state, self._grasp)
-        step = self._law.step(self._memory, state.state, state.desired, state.external, conditions)
-        check_finite(step.command, step.memory.control)
-        self._memory = step.memory
-        record = CommandRecord.pack(step.command, step.memory.control, state.binary, self._has_drive)
-        record.clearance = ClearanceRecord.pack(step.command, self._clearance_steps, state.sequence)
-        record.estimate = EstimateRecord.pack(step.estimate, step.monitor)
-        return record
+    return ExactControl(setup, changes) if setup.sensors is None else MeasuredControl(setup, changes)
 
 
 def answer_control_request(request: ControlRequest) -> JsonRecord:

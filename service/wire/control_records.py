@@ -144,7 +144,7 @@ class StreamSetup:
         Args:
             other: setup of a repeated request.
         """
-        ignored = ("memory", "change_number", *(("hold",) if other.change_number > 0 else ()))
+        ignored = ("memory", "change_number", *(("hold", "offset") if other.change_number > 0 else ()))
         mine, theirs = ({k: v for k, v in each.to_dict().items() if k not in ignored} for each in (self, other))
         return mine == theirs
 

@@ -15,10 +15,8 @@ from support.local_server import LocalServer
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import ContactChange, ContactConditions, GraspState, ObjectController
 from graspforce.core.errors import ErrorReply, InvalidInput, UnknownName
-from graspforce.estimation.sensor_model import SensorModel
 from graspforce.service import Stream, StreamSetup, StreamState, Watchdog
 from graspforce.service.client.command_stream import StreamLink
-from graspforce.service.client.stream_changes import StreamChanges
 from graspforce.service.server.server_stream import ServerStream
 from graspforce.service.wire import protocol
 from graspforce.service.wire.change_records import NumberedChange
@@ -178,16 +176,6 @@ def test_refused_number_costs_one_command_only():
     assert driver.send().contact_change.refused == 3
 
 
-def test_streams_of_measurements_refuse_changes():
-    driver = Driver(setup(memory=None, sensors=SensorModel()))
-    record = rest_state(1).to_dict()
-    measurement = {"t": 0.0, "posture": record["state"]["posture"], "object": {"t": 0.0, **record["state"]["object"]}}
-    del measurement["object"]["twist"]
-    error = driver.refusal({"state": None, "measurement": measurement, "contacts": {"number": 1, "release": [FINGER]}})
-    assert error["field"] == "contacts"
-    assert "sensors" in error["message"]
-
-
 # ── the server ────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
@@ -328,8 +316,6 @@ def test_stream_refuses_impossible_changes_before_it_sends_them(open_stream, ser
     stream.change_contacts(RELEASE)
     with pytest.raises(InvalidInput, match="in progress"):
         stream.change_contacts(ContactChange(release=[GRASP.fingers[0]]))
-    with pytest.raises(InvalidInput, match="sensors"):
-        StreamChanges(setup(sensors=SensorModel())).request(RELEASE)
 
 
 @pytest.mark.parametrize("is_error_lost", [False, True])
