@@ -39,6 +39,7 @@ class QueryIntake:
     def __init__(self, queues: WorkQueues, sessions: ClientSessions, limits: ServerLimits, keys: Sequence[str]) -> None:
         self._queues, self._sessions, self._limits = queues, sessions, limits
         self._keys = tuple(keys)
+        self._full_keys = frozenset(f"{protocol.PREFIX}/{key}" for key in self._keys)
         known = (*self._keys, f"{SCHEMA}/**", *_STREAM_KEYS)
         self._known_keys = [zenoh.KeyExpr(f"{protocol.PREFIX}/{key}") for key in known]
 
@@ -87,9 +88,12 @@ class QueryIntake:
     def _receive_unknown(self, query: zenoh.Query) -> None:
         """Put a query that no other queryable answers into the status queue: an unknown key, hand or version."""
         asked, known = query.key_expr, self._known_keys
-        key = str(asked).removeprefix(f"{protocol.PREFIX}/")
+        text = str(asked)
+        if text in self._full_keys:  # most queries: Zenoh calls this function for each of them, too
+            return
+        key = text.removeprefix(f"{protocol.PREFIX}/")
         is_own = key.startswith(("streams/", "setups/", SCHEMA)) and any(each.intersects(asked) for each in known[-5:])
-        if key in self._keys or is_own:
+        if is_own:
             return
         if "*" not in key or not any(each.intersects(asked) for each in known):
             self.receive(key, query, CostClass.STATUS)
