@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import msgspec
 
 from graspforce.control.object_control_law import ObjectControlLaw
-from graspforce.core.errors import InvalidInput, RequestRefused
+from graspforce.core.errors import RequestRefused
 from graspforce.core.json_text import JsonRecord
 from graspforce.service.server.exact_control import ExactControl, check_finite
 from graspforce.service.server.joint_control import JointControl
