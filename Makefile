@@ -53,8 +53,9 @@ docs: .venv/installed-dev      ## build the documentation into site/
 	$(BIN)/python docs/figures.py
 	$(BIN)/python -m mkdocs build --strict
 
+# Python 3.10 brings pip 23.0, which searches versions for hours.
 .venv/bin/python:
-	$(PYTHON) -m venv .venv
+	$(PYTHON) -m venv --upgrade-deps .venv
 
 COMPILED := $(shell find graspforce/csrc -type f)
 

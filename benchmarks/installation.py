@@ -64,7 +64,7 @@ def measure(python: str, extra: str, compiled: bool, rounds: int) -> tuple[str, 
     """
     with tempfile.TemporaryDirectory() as folder:
         environment = Path(folder) / "environment"
-        subprocess.run([python, "-m", "venv", environment], check=True)
+        subprocess.run([python, "-m", "venv", "--upgrade-deps", environment], check=True)
         before = installed_megabytes(environment)
         own = environment / "bin" / "python"
         variables = os.environ if compiled else {**os.environ, "CC": "false", "CXX": "false"}
