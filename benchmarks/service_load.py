@@ -204,7 +204,7 @@ class _Sender:
 
         self._session.get(
             f"{protocol.PREFIX}/{key}",
-            Callback(receive, done, indirect=False),
+            Callback(receive, done),
             payload=payload,
             encoding=protocol.MSGPACK,
             attachment=client.encode(),
