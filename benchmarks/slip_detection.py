@@ -165,16 +165,23 @@ def slip_rows(runs: Sequence[Record]) -> Iterator[Row]:
                 for alarm, each in zip(alarms, slips, strict=True)
             ]
         )  # periods
-        found = float(np.isfinite(delay).mean())
-        yield Row(f"{name}: {len(slips)} slips found", "≥ 99 %", f"{100 * found:.1f} %", found >= 0.99)
-        share, late = float((delay <= limit).mean()), delay[np.isfinite(delay)]
-        measured = f"{100 * share:.1f} %; median {np.median(delay):.0f} ms, 99 % {np.quantile(late, 0.99):.0f} ms"
-        measured += f", largest {late.max():.0f} ms"
-        yield Row(f"{name}: reaction within {limit} ms", "≥ 99 %", measured, share >= 0.99)
+        known = delay[np.isfinite(delay)]
+        found, share = (count / max(len(slips), 1) for count in (len(known), np.count_nonzero(delay <= limit)))
+        measured = [_percentage(count, len(slips), 1) for count in (len(known), np.count_nonzero(delay <= limit))]
+        if len(known):
+            measured[1] += f"; median {np.median(delay):.0f} ms, 99 % {np.quantile(known, 0.99):.0f} ms"
+            measured[1] += f", largest {known.max():.0f} ms"
+        yield Row(f"{name}: {len(slips)} slips found", "≥ 99 %", measured[0], found >= 0.99)
+        yield Row(f"{name}: reaction within {limit} ms", "≥ 99 %", measured[1], share >= 0.99)
         right = [alarm["right"] for alarm in alarms if alarm["right"] is not None]
-        yield Row(f"{name}: alarms that name the finger that slips most", "–", f"{100 * np.mean(right):.0f} %", True)
+        yield Row(f"{name}: alarms that name the finger that slips most", "–", _percentage(sum(right), len(right), 0), True)
         false = sum(each["alarms"][name]["first"] is not None for each in calm)
         yield Row(f"{name}: alarms in runs pushed without slip", "–", f"{false} of {len(calm)}", True)
+
+
+def _percentage(count: int, of: int, digits: int) -> str:
+    """Return a share in percent; "none yet" of no cases."""
+    return f"{100 * count / of:.{digits}f} %" if of else "none yet"
 
 
 def friction_rows(runs: Sequence[Record]) -> Iterator[Row]:

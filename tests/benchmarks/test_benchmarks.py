@@ -87,3 +87,22 @@ def test_worst_figures_are_the_largest_of_each_kind() -> None:
         real_world.worst_figures([*texts, "dropped, slip 9.00 mm, squeeze 1.00 ×"]) == "dropped, slip 9.00 mm, squeeze 1.00 ×"
     )
     assert real_world.worst_figures([*texts, "ValueError: no forces"]) == "ValueError: no forces"
+
+
+def test_slip_detection_reports_before_the_first_slip(benchmark):
+    module = benchmark("slip_detection")
+    rows = [*module.slip_rows([]), *module.friction_rows([]), *module.quiet_rows([])]
+    limits = {row.label: row for row in rows if row.requirement.startswith("≥")}
+    assert len(limits) == 4
+    for row in limits.values():
+        assert row.measured == "none yet"
+        assert not row.is_met
+
+
+def test_slip_detection_reports_slips_without_an_alarm(benchmark):
+    module = benchmark("slip_detection")
+    missed = {name: {"first": None, "right": None} for name in module.SENSORS}
+    for row in module.slip_rows([{"counts": 500, "calm": False, "alarms": missed}]):
+        if row.requirement.startswith("≥"):
+            assert row.measured == "0.0 %"
+            assert not row.is_met
