@@ -65,6 +65,7 @@ class TouchScene:
         self._frames = np.array([body.frame for body in self.bodies])
         self._centres = np.array([[*body.p_FB, 1.0] for body in self.bodies])[..., None]
         self._radii = np.array([body.radius for body in self.bodies])
+        self._known_pairs: dict[tuple[int, ...], Indices] = {}
         turned = hand.T != 0.0
         self._moves = np.array([self._ancestors(frame) for frame in range(held)]) @ turned > 0.0  # (frames, joints)
 
@@ -172,10 +173,25 @@ class TouchScene:
     def least_gap(self, q: Array, p_HO: Array, R_HO: Array, moving: Indices) -> float:
         """Return the least distance of some links from the object and from links that they must not touch, m."""
         poses, near = self._poses(q, p_HO, R_HO), 0.02
-        own = np.flatnonzero(np.isin(self._frames[:-1], moving))
-        pairs = np.stack([own, np.full(len(own), self._object)], axis=1)
-        others = self._links[np.isin(self._frames[self._links], moving).any(axis=1)]
-        return float(self._distances(poses, np.concatenate([pairs, others]), near)[0].min(initial=near))
+        return float(self._distances(poses, self._pairs_of(moving), near)[0].min(initial=near))
+
+    def link_places(self, q: Array) -> Array:
+        """Return the poses (L + 2, 4, 4) of the moving links in H; those of the object and, last, of the base are 1.
+
+        Args:
+            q: (n,) posture, rad.
+        """
+        return self._poses(q, np.zeros(3), np.eye(3))
+
+    def _pairs_of(self, moving: Indices) -> Indices:
+        """Return the pairs of some moving links with the object, and with links that they must not touch."""
+        key = tuple(moving.tolist())
+        if key not in self._known_pairs:
+            own = np.flatnonzero(np.isin(self._frames[:-1], moving))
+            pairs = np.stack([own, np.full(len(own), self._object)], axis=1)
+            others = self._links[np.isin(self._frames[self._links], moving).any(axis=1)]
+            self._known_pairs[key] = np.concatenate([pairs, others])
+        return self._known_pairs[key]
 
     def _touching(self, q: Array, p_HO: Array, R_HO: Array, moving: Indices) -> Collection[int]:
         """Return the moving links, of some, that touch the object."""

@@ -2,10 +2,11 @@
 
 Each candidate places the object against a part of the hand and then closes fingers around it:
 
-- *power*: the object lies on the palm, and all fingers close. The palm and an inner link of a finger touch at least.
+- *power*: the object lies on the palm, and fingers close. The palm and two fingers touch at least; see `power`.
 - *lateral*: the object lies against the side of the index finger, and the thumb closes onto it; see `lateral`.
 
-The collision shapes of the links touch. Contacts on an edge of the object are left out, because it has no normal there, and so
+The collision shapes of the links touch. A flat object on the palm has contacts near the ends of the face or line on which it
+lies. Contacts on an edge of the object are left out, because it has no normal there, and so
 are those on the convex hull of a mesh over a hollow. Every candidate is checked for force closure, forces within the motors'
 limits under each gravity, and overlaps.
 """
@@ -27,13 +28,13 @@ from graspforce.force.solver import solve
 from graspforce.geometry import Solid
 from graspforce.grasp.body import Body
 from graspforce.grasp.link_grasp import LinkGrasp
-from graspforce.grasp.search.batch_kinematics import BatchKinematics, palm_normal
+from graspforce.grasp.search.batch_kinematics import BatchKinematics, palm_normal, rotations
 from graspforce.grasp.search.checks import LoadRequirements, closure_quality
 from graspforce.grasp.search.closing import GAP, ClosingFinger, TouchScene
 from graspforce.grasp.search.grasp_class import ENVELOPING_CLASSES, GraspClass
 from graspforce.grasp.search.lateral import LateralSampler
 from graspforce.grasp.search.options import GraspSearchOptions, GraspSearchProgress, check_search
-from graspforce.grasp.search.sampling import random_axes, search_limits
+from graspforce.grasp.search.power import PowerSampler
 from graspforce.hand.hand import Hand
 
 _CANDIDATES = 400  # at most
@@ -41,15 +42,11 @@ _ENOUGH = 2  # candidates without a fault, of which the one with the best closur
 _CLOSING = 0.03  # m: a joint closes a finger if its range brings the tip nearer to the palm's axis by this
 _ONE_SIDED = 2.0  # ratio of the longer to the shorter side of the range of a joint that bends a finger
 _HEIGHT = 0.05  # m, above the palm, of the point that closing fingers approach
-_OPEN_SHARE = (0.3, 1.0)  # of the way from neutral to its open end, at which a closing joint starts
-_OPENINGS = 6  # postures, each nearer to neutral, of which the first without overlaps is taken
-_SIDE_SHARE = 0.3  # of half its range around neutral, in which the other joints are sampled
-_PLACE_SPREAD = 0.03  # m, of the object along the palm
-_FAR = 0.25  # m, from which the object approaches
-_APPROACH_STEP = 0.004  # m
 _SAME_POINT = 1e-3  # m: nearer contacts of one link count once
 _COINCIDENT = 1e-5  # m: the same of two links, which touch a corner of a mesh
 _OFF_SURFACE = 1e-3  # m: largest distance of a contact on the convex hull of a mesh from its surface
+_PATCH_TILT, _PATCH_ANGLE = 1e-3, 0.5  # rad: tilts of the object on the palm, and the first direction of their axes
+_PATCH_SHARE = 0.9  # of the distance of the ends of a contact patch from its middle
 _TIE = 4.0 * GAP  # m: links this near touch
 
 
@@ -90,7 +87,7 @@ def find_link_grasp(
     chosen = GraspClass(fields.check_choice(getattr(grasp_class, "value", grasp_class), "grasp_class", ENVELOPING_CLASSES))
     shape, load = check_search(hand, body, friction, gravity_H, options)
     seed = fields.check_integer(seed, "seed", minimum=0, maximum=2**32 - 1)
-    sampler = _Sampler(hand, shape, chosen, options)
+    sampler = _Sampler(hand, shape, chosen, load.friction, options)
     best, start, found = _Checked(None, "no posture touches it", 0.0), time.perf_counter(), 0
     rng = np.random.default_rng(seed)
     for k in range(_CANDIDATES):
@@ -120,22 +117,25 @@ class _Checked:
 class _Sampler:
     """Random candidates of a class."""
 
-    def __init__(self, hand: Hand, shape: Solid, grasp_class: GraspClass, options: GraspSearchOptions) -> None:
+    def __init__(self, hand: Hand, shape: Solid, grasp_class: GraspClass, friction: float, options: GraspSearchOptions) -> None:
         self.hand, self.shape, self.grasp_class = hand, shape, grasp_class
         kinematics = BatchKinematics(hand)
         self.scene = TouchScene(hand, kinematics.collision, shape)
-        self.limits = search_limits(hand)
         R_HP = hand.link_poses(hand.neutral)[hand.palm][1]
         given = options.palm_normal_H
-        self._normal = np.asarray(palm_normal(hand, kinematics, R_HP) if given is None else given)
-        self._bases = hand.model.joint_origins(hand.neutral)[kinematics.first_links]
-        self.fingers = _closing_fingers(hand, kinematics, self._bases.mean(axis=0) + _HEIGHT * self._normal)
+        normal = np.asarray(palm_normal(hand, kinematics, R_HP) if given is None else given)
+        self.across = np.linalg.svd(normal[None])[2][1:]  # (2, 3) directions along the palm, in H
+        bases = hand.model.joint_origins(hand.neutral)[kinematics.first_links]
+        self.fingers = _closing_fingers(hand, kinematics, bases.mean(axis=0) + _HEIGHT * normal)
         self.palm = set(range(-1, len(kinematics.links))) - {frame for finger in self.fingers for frame in finger.frames}
         names = [finger.name.lower() for finger in hand.fingers]
         thumb = next((i for i, name in enumerate(names) if "thumb" in name), None)
         others = [i for i in range(len(names)) if i != thumb]
         first = next((i for i in others if any(each in names[i] for each in ("index", "first", "fore"))), others[0])
         self._lateral: LateralSampler | None = None
+        self._power: PowerSampler | None = None
+        if grasp_class is GraspClass.POWER:
+            self._power = PowerSampler(hand, shape, kinematics, self.scene, self.fingers, friction, options)
         if grasp_class is GraspClass.LATERAL:
             if thumb is None:
                 raise InvalidInput("grasp_class", grasp_class.value, f"another class: {hand.name} has no thumb")
@@ -145,52 +145,8 @@ class _Sampler:
         """Return posture, position and axes of the object of a random candidate; None if the object does not get in place."""
         if self._lateral is not None:
             return self._lateral.sample(rng)
-        q = self._open_posture(rng)
-        if q is None:
-            return None
-        R_HO = random_axes(self._normal[None], rng)[0]
-        target = self._bases.mean(axis=0) + _PLACE_SPREAD * rng.uniform(-1.0, 1.0, 3)
-        placed = self._approach(q, target, -self._normal, R_HO, self.palm)
-        if placed is None:
-            return None
-        for finger in self.fingers:
-            q = self.scene.close(finger, q, placed, R_HO)
-        return q, placed, R_HO
-
-    def _open_posture(self, rng: np.random.Generator) -> Array | None:
-        """Return a posture between neutral and the open ends of the closing joints; None if links overlap there."""
-        hand, (lower, upper) = self.hand, self.limits
-        sideways = hand.neutral + _SIDE_SHARE * (upper - lower) / 2.0 * rng.uniform(-1.0, 1.0, hand.n)
-        share = rng.uniform(*_OPEN_SHARE, hand.n + 1)[:-1]  # one more, so that seeds keep the grasps of earlier versions
-        for _ in range(_OPENINGS):
-            q = np.array(sideways)
-            for finger in self.fingers:
-                for j, sign in zip(finger.joints, finger.signs, strict=True):
-                    q[j] = hand.neutral[j] + share[j] * ((lower[j] if sign > 0.0 else upper[j]) - hand.neutral[j])
-            q = np.clip(q, lower, upper)
-            overlapping = self.scene.overlapping_links(q)
-            if not overlapping:
-                return q
-            for finger, each in zip(self.fingers, hand.fingers, strict=True):
-                if overlapping & set(finger.frames):  # nearer to neutral
-                    own = list(each.joints)
-                    share[own], sideways[own] = 0.5 * share[own], 0.5 * (sideways[own] + hand.neutral[own])
-        return None
-
-    def _approach(self, q: Array, target: Array, direction: Array, R_HO: Array, frames: set[int]) -> Array | None:
-        """Return where a moving object first touches one of some links; None if it overlaps others there."""
-        start, centre = target - _FAR * direction, R_HO @ self.shape.centre
-        longest, chosen = _FAR + 0.1, np.array([body.frame in frames for body in self.scene.bodies[:-1]])
-
-        def gap(s: float) -> float:
-            gaps = self.scene.object_gaps(q, start + s * direction - centre, R_HO, 0.02)[0]
-            return float(gaps[chosen].min(initial=np.inf))
-
-        s = self.scene.first_touch(gap, longest, _APPROACH_STEP)
-        placed = start + s * direction - centre
-        if s == 0.0 or s >= longest or self.scene.object_gaps(q, placed, R_HO, GAP)[0].min() < 0.0:
-            return None
-        return np.asarray(placed)
+        assert self._power is not None  # the other class
+        return self._power.sample(rng)
 
 
 def _closing_fingers(hand: Hand, kinematics: BatchKinematics, centre: Array) -> tuple[ClosingFinger, ...]:
@@ -207,7 +163,7 @@ def _closing_fingers(hand: Hand, kinematics: BatchKinematics, centre: Array) -> 
     bends = np.where(above > _ONE_SIDED * below, 1.0, np.where(below > _ONE_SIDED * above, -1.0, 0.0))
     found = []
     for f, finger in enumerate(hand.fingers):
-        own = list(finger.joints)
+        own = [j for j in finger.joints if j not in hand.common_joints]
         signs = bends[own] if bends[own].any() else np.sign(nearer[own, f]) * (np.abs(nearer[own, f]) > _CLOSING)
         joints = tuple(j for j, sign in zip(own, signs.tolist(), strict=True) if sign)
         found.append(ClosingFinger(finger.name, joints, tuple(signs[signs != 0.0].tolist()), kinematics.own_links[f]))
@@ -254,20 +210,48 @@ def _contacts(
     soft = load.pad_friction is not None
     for k in np.flatnonzero(gaps <= _TIE).tolist():
         body = sampler.scene.bodies[k]
-        try:
-            p = sampler.shape.project_to_surface((points[k, 1] - p_HO) @ R_HO)
-            normal = sampler.shape.inward_normal(p)
-        except InvalidInput:  # an edge
-            continue
-        if np.linalg.norm((points[k, 1] - p_HO) @ R_HO - p) > _OFF_SURFACE:  # on the hull of a mesh, over a hollow
-            continue
-        seen = zip(links, contacts, strict=True)
-        if any(np.linalg.norm(p - e.position) < (_SAME_POINT if name == body.name else _COINCIDENT) for name, e in seen):
-            continue
-        contact = Contact(p, normal, load.friction, max_normal=load.max_normal)
-        if soft:
-            contact = replace(contact, model=ContactModel.SOFT, torsional_friction=load.pad_friction)
-        links.append(body.name)
-        contacts.append(contact)
-        frames.add(body.frame)
+        places = (points[k, 1] - p_HO) @ R_HO
+        lies = sampler.grasp_class is GraspClass.POWER and body.frame in sampler.palm
+        for place in _patch(sampler, k, sample, places) if lies else places[None]:
+            try:
+                p = sampler.shape.project_to_surface(place)
+                normal = sampler.shape.inward_normal(p)
+            except InvalidInput:  # an edge
+                continue
+            if np.linalg.norm(place - p) > _OFF_SURFACE:  # on the hull of a mesh, over a hollow
+                continue
+            seen = zip(links, contacts, strict=True)
+            if any(np.linalg.norm(p - e.position) < (_SAME_POINT if name == body.name else _COINCIDENT) for name, e in seen):
+                continue
+            contact = Contact(p, normal, load.friction, max_normal=load.max_normal)
+            if soft:
+                contact = replace(contact, model=ContactModel.SOFT, torsional_friction=load.pad_friction)
+            links.append(body.name)
+            contacts.append(contact)
+            frames.add(body.frame)
     return links, contacts, frames
+
+
+def _patch(sampler: _Sampler, k: int, sample: tuple[Array, Array, Array], place: Array) -> Array:
+    """Return points (N, 3) in O near the ends of the face or line on which the object lies; else the nearest point alone.
+
+    Small tilts of the object find the ends. The points are a little inside, away from the edges of link and object.
+
+    Args:
+        sampler: of the class.
+        k: index of the link's body.
+        sample: posture, position and axes of the object.
+        place: (3,) the nearest point of the object, in O, m.
+    """
+    q, p_HO, R_HO = sample
+    pivot, ends = p_HO + R_HO @ place, []
+    for angle in _PATCH_ANGLE + np.pi / 2.0 * np.arange(4):
+        turn = rotations(_PATCH_TILT * (np.cos(angle) * sampler.across[0] + np.sin(angle) * sampler.across[1])[None])[0]
+        tilted = pivot + turn @ (p_HO - pivot)
+        ends.append((sampler.scene.object_gaps(q, tilted, turn @ R_HO, 1e-2)[1][k, 1] - tilted) @ (turn @ R_HO))
+    found = np.array(ends)
+    middle = found.mean(axis=0)
+    found = middle + _PATCH_SHARE * (found - middle)
+    size = np.linalg.svd(found - middle, compute_uv=False)
+    is_flat = size[2] < _TIE and size[0] > 2.0 * _SAME_POINT
+    return found if is_flat else place[None]

@@ -22,6 +22,8 @@ MASS, FRICTION, PADS = 0.05, 0.6, 0.004  # kg; coefficient; m
 CASES: dict[str, tuple[str, Solid, str, float | None]] = {
     "ball in the Allegro hand": ("allegro_right", Sphere(0.03), "power", None),
     "ball in the DLR hand": ("dlr_hit2", Sphere(0.03), "power", None),
+    "small ball in the four-finger hand": ("four_finger", Sphere(0.027), "power", PADS),
+    "plate in the Allegro hand": ("allegro_right", Box([0.06, 0.014, 0.029]), "power", PADS),
     "pen at the index finger": ("allegro_right", Cylinder(0.008, 0.08), "lateral", PADS),
     "plate at the index finger": ("dlr_hit2", Box([0.06, 0.014, 0.029]), "lateral", PADS),
     "ball at the index finger": ("leap_right", Sphere(0.027), "lateral", PADS),
@@ -68,6 +70,16 @@ def test_power_grasps_touch_with_the_palm_and_several_links_of_a_finger() -> Non
     assert "palm" in grasp.links
     assert len(set(fingers) - {"palm"}) >= 2
     assert max(fingers.count(name) for name in fingers) >= 2
+
+
+def test_a_plate_on_the_palm_has_contacts_near_the_ends_of_one_face() -> None:
+    grasp = found("plate in the Allegro hand")
+    on_palm = [i for i, link in enumerate(grasp.links) if link == "palm_link"]
+    normals, points = grasp.contacts.R_OC[on_palm, :, 2], grasp.contacts.p_OC[on_palm]
+    assert len(on_palm) >= 3
+    np.testing.assert_allclose(normals, normals[:1].repeat(len(on_palm), axis=0), atol=1e-9)
+    assert np.ptp(points @ normals[0]) < 1e-6  # m, in one plane
+    assert np.ptp(points, axis=0).max() > 0.01  # m, along the face
 
 
 @pytest.mark.parametrize("case", [name for name, case in CASES.items() if case[2] == "lateral"])
