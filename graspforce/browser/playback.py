@@ -80,7 +80,7 @@ class Playback:
             duration: time after which this ends, s.
         """
         end, last = float(self._footage.t[-1]), time.monotonic()
-        start = last
+        start = due = last
         while time.monotonic() - start < duration:
             now = time.monotonic()
             with self._lock:
@@ -91,7 +91,8 @@ class Playback:
                     self._timeline.value = t if t < end else 0.0
                 self.update()
             last = now
-            time.sleep(max(1.0 / _RATE - (time.monotonic() - now), 0.0))
+            due = max(due + 1.0 / _RATE, now)  # without drift
+            time.sleep(max(due - time.monotonic(), 0.0))
 
     def close(self) -> None:
         """Close the page, and end `run`."""

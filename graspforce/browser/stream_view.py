@@ -16,7 +16,7 @@ from graspforce.core.arrays import Array
 from graspforce.simulation.rendering.display_model import DisplayModel
 from graspforce.simulation.rendering.marks import SceneState
 
-_CHART_PERIOD = 0.2  # s between two drawings of the charts
+_CHART_PERIOD = 0.2  # s between two drawings of the charts and the numbers
 _SPAN = 10.0  # s that the charts show
 _HISTORY = 60.0  # s to go back through
 _KEPT = 1800  # states of the history
@@ -67,10 +67,13 @@ class StreamView:
             self._history.clear()
         self._history.append((state, desired, readings))
         self._charts.add(readings)
-        self._draw(-1)
-        if time.monotonic() - self._last_drawn >= _CHART_PERIOD:
-            self._last_drawn = time.monotonic()
-            self._charts.draw()
+        now = time.monotonic()
+        is_due = now - self._last_drawn >= _CHART_PERIOD
+        with self.scene.server.atomic():  # one message to the pages
+            self._draw(-1, is_due)
+            if is_due:
+                self._last_drawn = now
+                self._charts.draw()
 
     def update(self) -> None:
         """While the page is paused, show the state at the slider's time."""
@@ -94,12 +97,14 @@ class StreamView:
         """Close the page."""
         self.scene.close()
 
-    def _draw(self, row: int) -> None:
-        """Show a row of the history."""
+    def _draw(self, row: int, has_text: bool = True) -> None:
+        """Show a row of the history, with its numbers or without."""
         state, desired, readings = self._history[row]
         self.scene.show(state)
         if desired is not None:
             self.scene.show_desired(*desired)
+        if not has_text:
+            return
         warning = f"  \n⚠ {readings.warnings[0]}" if readings.warnings else ""
         load = "" if state.load is None else f"  \n{state.load.text}"
         self._status.content = f"{readings.text}{load}{warning}"

@@ -36,7 +36,7 @@ class LiveRun:
     def __init__(self, view: LiveView) -> None:
         self._view = view
         self._start = self._last_step = time.monotonic()
-        self._last_shown, self._next_label = -np.inf, 0.0
+        self._due, self._next_label = -np.inf, 0.0  # s: of the next picture, and the next label
         self._monitor: MotionMonitor | None = None
         self._motions: dict[str, str] = {}
         self._heat: _WindingHeat | None = None
@@ -63,8 +63,8 @@ class LiveRun:
             self._heat = _WindingHeat(plant.scene.grasp.hand, plant.t)
         if self._heat is not None:
             self._heat.add(np.asarray(command.tau))
-        if now - self._last_shown >= 1.0 / _RATE:
-            self._last_shown, hand = now, plant.scene.grasp.hand
+        if now >= self._due:
+            self._due, hand = max(self._due + 1.0 / _RATE, now), plant.scene.grasp.hand
             heat = np.nan if self._heat is None else self._heat.take(plant.t)
             readings = Readings.of_command(plant.t, command, hand, step_time, self._motions, heat)
             self._view.show(capture_state(plant), readings)

@@ -220,22 +220,23 @@ class Client:
         """
         return self._open(JointStream, dataclasses.replace(setup, authenticated=True), watchdog)
 
-    def monitor_stream(self, id: str) -> StreamMonitor:
+    def monitor_stream(self, id: str, *, sampled: bool = False) -> StreamMonitor:
         """Follow the states and commands of a running stream, which `status().active_streams` lists, without taking part.
 
         With TLS, the role is ``monitor``.
 
         Args:
             id: id of the stream.
+            sampled: follow at most 60 states and commands a second, in place of all, so that the stream is not slowed.
 
         Raises:
             ErrorReply: no such stream is open.
-            IncompatibleServer: the server has no setups of streams.
+            IncompatibleServer: the server has no setups of streams, or no samples.
         """
-        self._require("stream_setups")
+        self._require("stream_setups", *(["stream_samples"] if sampled else []))
         protocol.check_named_id(id, "stream")
         answer = self._requests.ask_stream(f"setups/{id}", {})
-        return StreamMonitor(self._session, id, parse_record(dict, answer["setup"]))
+        return StreamMonitor(self._session, id, parse_record(dict, answer["setup"]), sampled=sampled)
 
     def _require(self, *capabilities: str) -> None:
         """Check once that the server can do what a request needs.

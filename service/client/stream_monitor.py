@@ -1,7 +1,7 @@
 """A monitor of a running stream: it reads states and commands beside the driver, and never takes part.
 
 Zenoh copies the messages to the monitor in threads of its own, and drops them if the monitor is late. The control step of the
-server does not wait for it.
+server does not wait for it. A view follows samples of both: copies of all messages would slow a stream at 1 kHz.
 """
 
 from __future__ import annotations
@@ -94,11 +94,12 @@ class StreamMonitor:
         session: an open session.
         id: id of the stream, its key after ``streams/``.
         record: the record that opened it.
+        sampled: follow the server's samples, at most `protocol.SAMPLE_RATE` a second, in place of all messages.
     """
 
-    def __init__(self, session: zenoh.Session, id: str, record: JsonRecord) -> None:
+    def __init__(self, session: zenoh.Session, id: str, record: JsonRecord, *, sampled: bool = False) -> None:
         self.id, self.record = id, record
-        key = f"{protocol.PREFIX}/streams/{id}"
+        key = f"{protocol.PREFIX}/streams/{id}" + (f"/{protocol.SAMPLED}" if sampled else "")
         self._states = session.declare_subscriber(f"{key}/state", RingChannel(_RING_SIZE))
         self._commands = session.declare_subscriber(f"{key}/command", RingChannel(_RING_SIZE))
         self._waiting: OrderedDict[int, Any] = OrderedDict()

@@ -54,6 +54,7 @@ _MESSAGES = ("/state", "/command")  # ends of the keys of a stream's messages
 _CAPABILITIES = (
     "grasp_search", "measurements", "contact_changes", "authenticated_streams", "torque_step", "client_keys", "regrasp_search",
     "stream_setups",
+    "stream_samples",
 )  # fmt: skip
 log = logging.getLogger("graspforce.service")
 

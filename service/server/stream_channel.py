@@ -2,11 +2,15 @@
 
 Zenoh stores the newest states in a ring. If states arrive faster than they are processed, only the newest is used: the newest
 genuine one of this opening of the stream. No client can therefore delay another, however fast or slow it is.
+
+Beside the commands, some states and their commands are published as samples for views, after the command has been sent. Copies
+of all messages would cost the server and the view as much processor time as the control step.
 """
 
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -48,6 +52,7 @@ class StreamChannel:
         key = f"{protocol.PREFIX}/streams/{stream.id}"
         self._stream, self._may_answer, self._recorder = stream, may_answer, recorder
         self._commands = session.declare_publisher(f"{key}/command", congestion_control=zenoh.CongestionControl.DROP)
+        self._samples = _Samples(session, f"{key}/{protocol.SAMPLED}")
         self._states = session.declare_subscriber(f"{key}/state", RingChannel(1 if stream.key is None else _RING_SIZE))
         self._handler = self._states.handler  # here: `close` in another thread blocks this attribute for a moment
         self._thread = threading.Thread(target=self._run, name=f"stream-{stream.id}", daemon=True)
@@ -65,6 +70,7 @@ class StreamChannel:
         if is_server_closing:
             self._put(make_error_reply(protocol.JSON, "closing", protocol.CLOSING_MESSAGE, None, None))
         self._commands.undeclare()
+        self._samples.close()
 
     def _run(self) -> None:
         """Publish a command for each newest state until the channel is closed."""
@@ -80,6 +86,7 @@ class StreamChannel:
             reply = command(payload, encoding, received)
             if self._may_answer():
                 self._put(reply)
+                self._samples.offer((payload, encoding), reply, received)
             if self._recorder is not None:
                 self._recorder.offer(recorded(STATE, self._stream.id, received, (payload, encoding), reply))
 
@@ -101,7 +108,53 @@ class StreamChannel:
     def _put(self, reply: Reply) -> None:
         """Publish a command or an error record."""
         try:
-            encoding = MSGPACK_ENCODING if reply.encoding == protocol.MSGPACK else reply.encoding
-            self._commands.put(reply.payload, encoding=encoding, attachment=self._stream.sign(reply.payload))
+            self._commands.put(
+                reply.payload, encoding=_zenoh_encoding(reply.encoding), attachment=self._stream.sign(reply.payload)
+            )
         except zenoh.ZError as error:
             log.warning("cannot send a command of stream %s: %s", self._stream.id, describe_zenoh_error(error))
+
+
+class _Samples:
+    """Publishers of sampled states and commands, at most `protocol.SAMPLE_RATE` a second.
+
+    Args:
+        session: an open session.
+        key: key of the samples.
+    """
+
+    def __init__(self, session: zenoh.Session, key: str) -> None:
+        self._publishers = [
+            session.declare_publisher(
+                f"{key}/{name}", congestion_control=zenoh.CongestionControl.DROP, priority=zenoh.Priority.DATA_LOW
+            )
+            for name in ("state", "command")
+        ]
+        self._next = -math.inf  # s, on the clock `time.perf_counter`
+
+    def offer(self, state: tuple[bytes, str], reply: Reply, now: float) -> None:
+        """Publish a state and its command if a sample is due.
+
+        Args:
+            state: payload and encoding of the state.
+            reply: its command.
+            now: when the state arrived, on the clock `time.perf_counter`, s.
+        """
+        if now < self._next or not reply.ok:
+            return
+        self._next = max(self._next + 1.0 / protocol.SAMPLE_RATE, now)  # without drift; missed samples are skipped
+        try:
+            for publisher, (payload, encoding) in zip(self._publishers, (state, (reply.payload, reply.encoding)), strict=True):
+                publisher.put(payload, encoding=_zenoh_encoding(encoding))
+        except zenoh.ZError as error:
+            log.warning("cannot send a sample of a stream: %s", describe_zenoh_error(error))
+
+    def close(self) -> None:
+        """Publish no more."""
+        for publisher in self._publishers:
+            publisher.undeclare()
+
+
+def _zenoh_encoding(encoding: str) -> zenoh.Encoding | str:
+    """Return an encoding as Zenoh takes it fastest."""
+    return MSGPACK_ENCODING if encoding == protocol.MSGPACK else encoding

@@ -33,6 +33,9 @@ REFUSAL_CODES = ("too_large", "overloaded", "deadline", "closing", "forbidden") 
 ERROR_CODES = ("invalid", "implausible", "unknown", "internal")
 CLOSING_MESSAGE = "the server is closing: send the request to another one"
 LARGEST_SEQUENCE = 2**63 - 1
+SAMPLE_RATE = 60  # 1/s, at most: sampled states and commands of a stream
+SAMPLED = f"sampled/{SAMPLE_RATE}_hz"
+"""Key of the samples below that of their stream. It has more parts than an id, so that it is no other stream's key."""
 ANSWER_ENVELOPE = ("sequence", "server_seconds")  # fields that any answer may have beside its record
 
 _FORBIDDEN_IN_KEYS = "/*$?#"

@@ -86,7 +86,7 @@ def add_hand(spec: mujoco.MjSpec, hand: Hand, tree: KinematicTree, engine: Engin
     for i, link in enumerate(tree.links):
         parent = spec.worldbody if link.parent < 0 else bodies[link.parent]
         p, R = (link.p_PL, link.R_PL) if is_moving[i] else _locked_pose(link, hand.q0[i])
-        body = parent.add_body(name=link.joint, pos=p, quat=_quaternion(R))
+        body = parent.add_body(name=link.joint, pos=p, quat=rotation_quaternion(R))
         body.explicitinertial = True
         body.mass, body.ipos = link.mass, link.p_LM
         body.fullinertia = _inertia_components(link.inertia)
@@ -132,7 +132,7 @@ def add_object(spec: mujoco.MjSpec, body: Body, grasp: Grasp) -> None:
         InvalidInput: MuJoCo has no geom of this shape.
     """
     shape = body.shape or grasp.body.shape
-    part = spec.worldbody.add_body(name=OBJECT, pos=grasp.p_HO, quat=_quaternion(grasp.R_HO))
+    part = spec.worldbody.add_body(name=OBJECT, pos=grasp.p_HO, quat=rotation_quaternion(grasp.R_HO))
     part.explicitinertial = True
     part.mass, part.ipos, part.fullinertia = body.mass, body.p_OM, _inertia_components(body.inertia)
     part.add_joint(name=OBJECT, type=mujoco.mjtJoint.mjJNT_FREE)
@@ -214,8 +214,12 @@ def _inertia_components(inertia: Array) -> list[float]:
     return [float(inertia[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
 
 
-def _quaternion(R: Array) -> Array:
-    """Return the quaternion (w, x, y, z) of a rotation matrix."""
+def rotation_quaternion(R: Array) -> Array:
+    """Return the quaternion (w, x, y, z) of a rotation matrix.
+
+    Args:
+        R: (3, 3) rotation.
+    """
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(R).ravel())
     return quaternion

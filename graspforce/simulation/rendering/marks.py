@@ -17,7 +17,7 @@ from graspforce.contact.motion import BodyMotion
 from graspforce.contact.use_colour import friction_use, use_colour
 from graspforce.core.arrays import Array, freeze
 from graspforce.simulation.plants.plant import Plant
-from graspforce.simulation.plants.scene import Scene, set_posture
+from graspforce.simulation.plants.scene import Scene
 from graspforce.simulation.recordings.recording import Recording
 
 _HEIGHT, _MIN_HEIGHT, _MAX_HEIGHT = 0.72, 0.008, 0.03  # of cones: over the object's radius, and limits, m
@@ -159,12 +159,11 @@ def scene_state(scene: Scene, t: float, q: Array, motion: BodyMotion, contacts: 
         motion: pose of the object.
         contacts: forces, places and friction of the contacts.
     """
-    data = mujoco.MjData(scene.model)
-    set_posture(scene, data, q, np.zeros(len(q)))
+    qpos = _posture_qpos(scene, q)
     mujoco.mju_mat2Quat(quaternion := np.empty(4), motion.R_HO.ravel())
-    data.qpos[scene.object_q_address : scene.object_q_address + 7] = [*motion.p_HO, *quaternion]
+    qpos[scene.object_q_address : scene.object_q_address + 7] = [*motion.p_HO, *quaternion]
     marks, load = contact_marks(scene, contacts, motion), load_mark(scene, contacts, motion)
-    return SceneState(t, freeze(data.qpos), marks, None, freeze(data.mocap_pos), load)
+    return SceneState(t, freeze(qpos), marks, None, _first_mocap(scene), load)
 
 
 def posture_state(scene: Scene, t: float, q: Array) -> SceneState:
@@ -175,9 +174,7 @@ def posture_state(scene: Scene, t: float, q: Array) -> SceneState:
         t: time, s.
         q: (n,) joint positions, rad.
     """
-    data = mujoco.MjData(scene.model)
-    set_posture(scene, data, q, np.zeros(len(q)))
-    return SceneState(t, freeze(data.qpos), (), None, freeze(data.mocap_pos))
+    return SceneState(t, freeze(_posture_qpos(scene, q)), (), None, _first_mocap(scene))
 
 
 class MarkedContacts(Protocol):
@@ -283,6 +280,21 @@ def push_mark(plant: Plant) -> PushMark | None:
     height = _cone_height(plant.scene)
     end = motion.p_HO + motion.R_HO @ surface
     return PushMark(end, _PUSH_LENGTH * height * direction, _PUSH_RADIUS * height, size)
+
+
+def _posture_qpos(scene: Scene, q: Array) -> Array:
+    """Return the positions of MuJoCo's joints in a posture; the object is where the scene starts.
+
+    Data of MuJoCo, which have these positions too, take a millisecond to make.
+    """
+    qpos = np.array(scene.model.qpos0)
+    qpos[scene.q_address] = scene.T @ q + scene.q0
+    return qpos
+
+
+def _first_mocap(scene: Scene) -> Array:
+    """Return the positions (M, 3) of the bodies that the plant moves, where the scene starts, m."""
+    return freeze(scene.model.body_pos[scene.model.body_mocapid >= 0])
 
 
 def _arrow_length(scene: Scene, force: float) -> float:
