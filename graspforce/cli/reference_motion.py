@@ -18,7 +18,7 @@ from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import TravelLimit, travel_limits
 from graspforce.hand.contact_tips import has_contact_tips
 from graspforce.simulation import Reference
-from graspforce.simulation.loops.reach import find_unreachable
+from graspforce.simulation.loops.reach import find_unholdable, find_unreachable
 
 _TRAVEL = 0.01  # m, upwards, of simulations without --travel
 _TURN, _NOTHING = (0.0, 0.0, 0.1), (0.0, 0.0, 0.0)  # rad, of the reference "turn" without --travel; m, of "still"
@@ -121,12 +121,20 @@ def check_reference(options: SimulateOptions, grasp: Grasp) -> None:
     if has_contact_tips(grasp.hand, grasp.fingers):
         _check_feasible(options, grasp)
         return
-    found = find_unreachable(grasp, make_reference(options, grasp), options.duration)
+    reference, travel = make_reference(options, grasp), options.travel or _NOTHING
+    found, held = find_unreachable(grasp, reference, options.duration), None
+    if found is None:
+        span = min(options.duration, max(options.period, options.turn_period or 0.0))  # s: the motion is periodic
+        held = find_unholdable(grasp, reference, span, options.grasp.gravity_H)
     if found is not None:
-        travel = options.travel or _NOTHING
-        field, value = ("--travel", travel) if any(travel) else ("--turn", options.turn)
         allowed = f"a motion within reach of the fingers: at {found[0]:.2f} s {found[1]} cannot follow its contact"
-        raise InvalidInput(field, ",".join(f"{x:g}" for x in value), allowed)
+    elif held is not None:
+        allowed = f"a motion that the fingers can follow and hold: at {held[0]:.2f} s {held[1]}"
+    else:
+        return
+    field, value = ("--turn", options.turn) if held is not None and any(options.turn) else ("--travel", travel)
+    field, value = (field, value) if any(value) else ("--turn", options.turn)
+    raise InvalidInput(field, ",".join(f"{x:g}" for x in value), allowed)
 
 
 def _check_feasible(options: SimulateOptions, grasp: Grasp) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Protocol
 
 import numpy as np
 
@@ -19,7 +20,6 @@ from graspforce.contact.motion import BodyMotion
 from graspforce.core.arrays import Array, freeze
 from graspforce.geometry import Shape
 from graspforce.hand.hand import Hand
-from graspforce.planning.regrasp.pose_path import PosePath
 
 STEP = 0.02  # of the path parameter, rad
 _KEPT_MOTIONS = 4096  # poses of the object that are kept: all fingers are followed along the same ones
@@ -61,6 +61,14 @@ class HeldObject:
         return replace(self, fingers=tuple(fingers), contacts=ContactSet.stack(contacts))
 
 
+class ObjectPath(Protocol):
+    """A path of an object, such as a `PosePath`."""
+
+    def motion(self, u: float, rate: float = 0.0) -> BodyMotion:
+        """Return pose and twist of the object in H at a path parameter, with its rate in 1/s."""
+        ...  # pragma: no cover
+
+
 class RollingMotion:
     """The rolling motion of fingertips along the path of an object.
 
@@ -68,10 +76,11 @@ class RollingMotion:
         hand: the hand; its position limits bound the motion.
         shape: surface of the object.
         path: path of the object.
+        centring: of the distance from the middle of its range that a redundant joint returns for each unit of the path.
     """
 
-    def __init__(self, hand: Hand, shape: Shape, path: PosePath) -> None:
-        self._hand, self._shape = hand, shape
+    def __init__(self, hand: Hand, shape: Shape, path: ObjectPath, centring: float = _CENTRING) -> None:
+        self._hand, self._shape, self._centring = hand, shape, centring
         self._motion = lru_cache(_KEPT_MOTIONS)(path.motion)
         middle = (hand.q_lower + hand.q_upper) / 2.0  # rad
         self._middle = np.where(np.isfinite(middle), middle, 0.0)
@@ -95,6 +104,19 @@ class RollingMotion:
                 break
             states.append(following)
         return states
+
+    def weakest_finger(self, state: HeldObject) -> str:
+        """Return the finger that is nearest to the loss of a direction of its tip.
+
+        Args:
+            state: the state.
+        """
+        radii = np.array([self._hand.finger(name).tip_radius or 0.0 for name in state.fingers])  # m
+        A, ratios = self._rolling(state, radii, state.u, state.q, 1.0).A, []
+        for i, name in enumerate(state.fingers):
+            sigma = np.linalg.svd(A[3 * i : 3 * i + 3][:, list(self._hand.finger(name).joints)], compute_uv=False)
+            ratios.append(float(sigma[-1] / sigma[0]))
+        return state.fingers[int(np.argmin(ratios))]
 
     def _step(self, state: HeldObject, u: float) -> HeldObject | None:
         """Return the state a small step further; None if a joint is at its limit or a finger is singular."""
@@ -124,7 +146,7 @@ class RollingMotion:
     def _slope(self, state: HeldObject, radii: Array, u: float, q: Array) -> Array | None:
         """Return dq/du, (n,); None if a finger cannot follow."""
         rolling = self._rolling(state, radii, u, q, 1.0)
-        centring = _CENTRING * (self._middle - q)
+        centring = self._centring * (self._middle - q)
         twist = _twist_in_object(self._motion(u, 1.0))
         slope = np.zeros(self._hand.n)
         for i, name in enumerate(state.fingers):
