@@ -22,6 +22,7 @@ from graspforce.simulation.rendering import (
 from graspforce.simulation.rendering.film import ANIMATIONS
 
 _SWING = 0.15  # rad, of the film's camera
+_TOWARDS_OBJECT, _DISTANCE = 0.5, 0.7  # of a camera that follows a hand: part of the way to the object, and of the distance
 _ROUNDING = 1e-6  # of a frame: sums of time steps
 
 
@@ -68,6 +69,8 @@ class PhaseFilm:
         form, period = self._format, self._states[-1][0].t
         camera = form.camera(replace(self._view, swing=_SWING, period=period))
         display = DisplayModel(scene, camera=camera)
+        if len(self._states[0][0].mocap):  # a hand that moves over a table
+            self._follow_hand(display)
         renderer = make_renderer(display, *form.picture)
         fill = form.fill_text(display, [state for state, _ in self._states])
         self._console.print(f"Film: {renderer.description}; {fill}.", soft_wrap=True)
@@ -80,3 +83,14 @@ class PhaseFilm:
         for path in (self._video, self._frames):
             if path is not None:
                 self._console.print(f"Film, {self._writer.count} frames: [bold]{path}[/]", soft_wrap=True)
+
+    def _follow_hand(self, display: DisplayModel) -> None:
+        """Let the camera move with the hand, nearer than one that shows the whole hand from the floor.
+
+        Args:
+            display: the model of the film.
+        """
+        display.follows_hand = True
+        camera, middle = display.camera, display.contact_points.mean(axis=0)
+        target = camera.target + _TOWARDS_OBJECT * (middle - camera.target)
+        display.camera = replace(camera, target=target, distance=_DISTANCE * camera.distance)

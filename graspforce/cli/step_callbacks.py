@@ -33,7 +33,7 @@ StepCallback = Callable[[Plant, ControllerCommand], None]
 ProgressCallback = Callable[[PlantInterface, ControllerCommand], None]  # also a StepCallback
 
 _SWING = 0.30  # rad, of the film's camera
-_LEAST_COVER = 0.35  # part of the frame that hand and object cover
+_LEAST_COVER = 0.38  # part of the frame that hand and object cover
 _ROUNDING = 1e-6  # of a frame: sums of time steps
 _PROGRESS_STEPS, _VIEWER_STEPS = 20, 16  # steps between two updates
 

@@ -48,6 +48,7 @@ class DisplayModel:
         up: (3,) unit vector against gravity, in H.
         description: how the hand is shown.
         cone_id: index of the mesh of a cone of height 1 m and radius 1 m.
+        follows_hand: whether the camera moves with the hand's base, and not with the floor.
 
     Raises:
         ModelError: a directory was given and a mesh is not there, or MuJoCo cannot read a mesh.
@@ -62,7 +63,7 @@ class DisplayModel:
         camera: CameraOptions | None = None,
         shows_object: bool = True,
     ) -> None:
-        self.scene, self._shows_object = scene, shows_object
+        self.scene, self._shows_object, self.follows_hand = scene, shows_object, False
         hand, spec = scene.grasp.hand, scene.spec.copy()
         tree = hand.model.tree(own_fingers(hand))
         stage.add_materials(spec)
@@ -106,7 +107,7 @@ class DisplayModel:
         mujoco.mj_comPos(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
         position, axes = self.camera.pose(state.t)
-        if len(state.mocap):  # the camera stands on the floor
+        if len(state.mocap) and not self.follows_hand:  # the camera stands on the floor
             position = position + state.mocap[0] - self.model.body_pos[self._floor_body]
         self.data.cam_xpos[0], self.data.cam_xmat[0] = position, axes.ravel()
 
