@@ -34,6 +34,8 @@ from graspforce.hand.drives.joint_friction import SMOOTHING_RATE
 from graspforce.hand.hand import Hand
 
 _LARGEST_FRICTION = 0.3  # of each motor's torque: bound of the observed levels
+_REST_BAND = 0.015  # rad: error that static friction may leave in a finger at rest; half the usual tolerance of a posture
+_PULL_RATE = 10.0  # 1/s: rate of the motion, by error beyond the band, whose friction is compensated
 _RANK = 1e-8  # m²/rad²: added to J Jᵀ, so that a stretched finger has a finite force
 
 
@@ -177,7 +179,7 @@ class FingerServo:
             forces.append(kept)
             disturbances.append(to_force @ torque_d[own])
         a = desired.a + np.linalg.solve(M, bounded)
-        direction = np.tanh(desired.v / SMOOTHING_RATE)
+        direction = np.tanh((desired.v + (_pull(desired.q - q) if is_free else 0.0)) / SMOOTHING_RATE)
         friction = memory.friction
         tau = self.hand.model.inverse_dynamics(q, v, a, self._gravity) + friction * direction
         tau = np.clip(tau, self.hand.torque_lower, self.hand.torque_upper)
@@ -185,6 +187,18 @@ class FingerServo:
             friction = self._observer.step(friction, direction, bounded)
         result = ServoStep(freeze(tau), q, v, freeze(p_tip), freeze(disturbances), freeze(forces))
         return result, ServoMemory(joints, freeze(a), friction)
+
+
+def _pull(error: Array) -> Array:
+    """Return the rates towards the desired positions of joints that are outside the band of rest, rad/s.
+
+    Friction against these rates is compensated, too: at the end of a motion the feedback of a light finger is less than the
+    static friction of its joints. Within the band nothing changes, so that the joints do not oscillate.
+
+    Args:
+        error: (n,) desired less present positions, rad.
+    """
+    return _PULL_RATE * np.sign(error) * np.maximum(np.abs(error) - _REST_BAND, 0.0)
 
 
 def _bounded_feedback(u: Array, force: Array, J: Array, largest: Array | ForceBounds, i: int) -> tuple[Array, Array]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -67,3 +69,32 @@ def test_force_across_does_not_depend_on_the_error_along():
     errors = [1e-3 * np.linalg.solve(M, each) for each in (a, b)]
     near, far = (step(each, ForceBounds(NORMALS, ALONG, ACROSS)).f_feedback for each in errors)
     np.testing.assert_allclose(parts(near)[1], parts(far)[1], rtol=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_free_joints_away_from_their_goal_get_the_friction_that_holds_them(seed):
+    """Beyond a band of 15 mrad, friction is compensated towards the goal at rest; within it nothing is added."""
+    rng = np.random.default_rng(seed)
+    measurement = Measurement(0.0, REST)
+    level = rng.uniform(0.01, 0.1, HAND.n)  # N·m
+    memory = replace(SERVO.initial_memory(measurement), friction=level)
+    sign = rng.choice([-1.0, 1.0], HAND.n)
+    for size, share in ((0.010, 0.0), (0.030, 1.0)):  # rad, and the part of the friction that is compensated
+        desired = JointMotion(REST + size * sign)
+        free, other = (
+            SERVO.step(memory, measurement, desired, np.full(3, 0.01), is_free=is_free)[0].tau for is_free in (True, False)
+        )
+        within = np.abs(other + share * level * sign) < HAND.torque_upper
+        np.testing.assert_allclose((free - other)[within], (share * level * sign)[within], rtol=0, atol=1e-9)
+
+
+def test_torque_on_a_free_joint_that_sticks_grows_beyond_its_static_friction():
+    """At 40 mrad from the goal the feedback of a light finger is less than 0.1 N·m; the learned friction makes up for it."""
+    desired = JointMotion(REST + 0.04)  # rad
+    memory = SERVO.initial_memory(Measurement(0.0, REST))
+    still = step(np.zeros(HAND.n), np.full(3, 5.0)).tau
+    for k in range(1000):
+        found, memory = SERVO.step(memory, Measurement(k * SERVO.period, REST), desired, np.full(3, 5.0), is_free=True)
+    joints = [j for name in FINGERS for j in HAND.finger(name).joints]
+    pushed = found.tau - still  # N·m
+    assert (np.minimum(pushed, HAND.torque_upper - still)[joints] > 0.1).all(), pushed[joints]
