@@ -96,6 +96,8 @@ def test_readiness_ends_when_a_thread_does_not_finish_and_when_the_server_closes
             assert "in progress" in fetch(monitoring, "/readyz")[1]
             release.set()
             wait_until(lambda: fetch(monitoring, "/healthz")[0] == 200)
+            thread.join(TIMEOUT)  # a query that goes on while its client closes ends with an error
+            assert not thread.is_alive()
     assert fetch(monitoring, "/readyz")[0] == 503
     monitoring.close()
 
