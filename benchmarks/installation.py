@@ -76,7 +76,8 @@ def measure(python: str, extra: str, compiled: bool, rounds: int) -> tuple[str, 
         solve = f"import time; t = time.perf_counter()\nimport graspforce as gf\n{_SOLVE}\nprint(time.perf_counter() - t)"
         solved = median_time(own, solve, rounds)
         code = "import sys, graspforce as gf; print(sys.version.split()[0], *gf.available_backends())"
-        version, *backends = subprocess.run([own, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+        named = subprocess.run([own, "-c", code], capture_output=True, text=True, check=True, cwd=tempfile.gettempdir())
+        version, *backends = named.stdout.split()
     return (extra or "core", version, " ".join(backends), f"{size:.0f}", f"{1e3 * imported:.0f}", f"{1e3 * solved:.0f}")
 
 
