@@ -8,7 +8,7 @@ a_d, the feedback is
 The factor s ≤ 1 of each finger bounds its feedback as a force F at the tip, ‖F‖ ≤ F_max, with the smallest F for which
 Jᵀ F is the feedback torque, F = (J Jᵀ)⁻¹ J M a_f. So a finger that meets the object pushes with F_max at most, however
 far its desired position is inside. The friction levels are those of `FrictionObserver`, which learns them while the fingers
-move without contact.
+move without contact. Free fingers that rest away from the goal get the friction of a motion towards it, too.
 
 `ForceBounds` bounds the parts of F along a direction and across it on their own. A joint that sticks by static friction leads
 the tip away from its line; the force across the line that moves this joint then does not depend on the bound along it.
@@ -34,8 +34,7 @@ from graspforce.hand.drives.joint_friction import SMOOTHING_RATE
 from graspforce.hand.hand import Hand
 
 _LARGEST_FRICTION = 0.3  # of each motor's torque: bound of the observed levels
-_REST_BAND = 0.015  # rad: error that static friction may leave in a finger at rest; half the usual tolerance of a posture
-_PULL_RATE = 10.0  # 1/s: rate of the motion, by error beyond the band, whose friction is compensated
+_PULL_RATE = 10.0  # 1/s, by the error beyond the band of rest: rate of the motion whose friction is compensated
 _RANK = 1e-8  # m²/rad²: added to J Jᵀ, so that a stretched finger has a finite force
 
 
@@ -98,15 +97,19 @@ class FingerServo:
         sensors: noise, rate and latency of the encoders.
         gravity_H: (3,) acceleration of gravity in H, m/s².
         largest_rate: largest rate of the double pole, rad/s.
+        rest_band: error that static friction may leave in a free finger at rest, rad.
 
     Raises:
         InvalidInput: no gains are stable with these sensors.
         UnknownName: the hand has no finger of that name.
     """
 
-    def __init__(self, hand: Hand, fingers: Sequence[str], sensors: SensorModel, gravity_H: Array, largest_rate: float) -> None:
+    def __init__(
+        self, hand: Hand, fingers: Sequence[str], sensors: SensorModel, gravity_H: Array, largest_rate: float, rest_band: float
+    ) -> None:
         sensors = replace(sensors, latency=sensors.latency + hand.drives.delay)
         self.hand, self.period = hand, 1.0 / sensors.rate
+        self._rest_band = rest_band
         self._gravity, self._tips = gravity_H, [hand.frame_id(name) for name in fingers]
         self._joints = [list(hand.finger(name).joints) for name in fingers]
         gains, self.margins = fastest_loop(sensors, self.period, LoopTargets(largest_rate=largest_rate))
@@ -179,7 +182,7 @@ class FingerServo:
             forces.append(kept)
             disturbances.append(to_force @ torque_d[own])
         a = desired.a + np.linalg.solve(M, bounded)
-        direction = np.tanh((desired.v + (_pull(desired.q - q) if is_free else 0.0)) / SMOOTHING_RATE)
+        direction = np.tanh((desired.v + (self._pull(desired.q - q) if is_free else 0.0)) / SMOOTHING_RATE)
         friction = memory.friction
         tau = self.hand.model.inverse_dynamics(q, v, a, self._gravity) + friction * direction
         tau = np.clip(tau, self.hand.torque_lower, self.hand.torque_upper)
@@ -188,17 +191,16 @@ class FingerServo:
         result = ServoStep(freeze(tau), q, v, freeze(p_tip), freeze(disturbances), freeze(forces))
         return result, ServoMemory(joints, freeze(a), friction)
 
+    def _pull(self, error: Array) -> Array:
+        """Return the rates towards the desired positions of joints that are outside the band of rest, rad/s.
 
-def _pull(error: Array) -> Array:
-    """Return the rates towards the desired positions of joints that are outside the band of rest, rad/s.
+        Friction against these rates is compensated, too: at the end of a motion the feedback of a light finger is less than the
+        static friction of its joints. Within the band nothing changes, so that the joints do not oscillate.
 
-    Friction against these rates is compensated, too: at the end of a motion the feedback of a light finger is less than the
-    static friction of its joints. Within the band nothing changes, so that the joints do not oscillate.
-
-    Args:
-        error: (n,) desired less present positions, rad.
-    """
-    return _PULL_RATE * np.sign(error) * np.maximum(np.abs(error) - _REST_BAND, 0.0)
+        Args:
+            error: (n,) desired less present positions, rad.
+        """
+        return _PULL_RATE * np.sign(error) * np.maximum(np.abs(error) - self._rest_band, 0.0)
 
 
 def _bounded_feedback(u: Array, force: Array, J: Array, largest: Array | ForceBounds, i: int) -> tuple[Array, Array]:

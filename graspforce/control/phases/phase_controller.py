@@ -34,6 +34,7 @@ _APPROACH_FORCE = 20.0  # N: bound of the feedback of each finger while it moves
 _STOP_FORCE = 2.0  # N: bound of the feedback of each finger that keeps its place after an abort
 _RETRACT_SPEED = 1.0  # rad/s: mean rate of the fastest joint from the released posture to the pre-grasp posture
 _LEAST_RETRACT_TIME = 0.3  # s
+_REST_SHARE = 0.5  # of the tolerance of a posture: error that static friction may leave in a finger at rest
 _DONE = frozenset(("done", "stopped"))
 
 
@@ -71,7 +72,8 @@ class PhaseController:
         self._control = ControlSettings.for_sensors(self.sensors, base, drives=plan.grasp.hand.drives).settings
         self._make_controller = make_controller or self._output_feedback
         hand, grasp = plan.grasp.hand, plan.grasp
-        self._servo = FingerServo(hand, grasp.fingers, self.sensors, plan.gravity_H, self.settings.largest_rate)
+        rest_band = _REST_SHARE * self.settings.posture_tolerance  # rad
+        self._servo = FingerServo(hand, grasp.fingers, self.sensors, plan.gravity_H, self.settings.largest_rate, rest_band)
         self._detector = ContactDetector(hand, self.sensors, self.settings, self._servo.period)
         self._drives = DriveMap(hand, self._control.position_error, self._servo.period)
         self.reset()

@@ -176,7 +176,7 @@ class TouchScene:
         return float(self._distances(poses, self._pairs_of(moving), near)[0].min(initial=near))
 
     def link_places(self, q: Array) -> Array:
-        """Return the poses (L + 2, 4, 4) of the moving links in H; those of the object and, last, of the base are 1.
+        """Return the poses (L + 2, 4, 4) of the moving links in H, followed by two identities for the object and the base.
 
         Args:
             q: (n,) posture, rad.

@@ -87,7 +87,7 @@ def find_link_grasp(
     chosen = GraspClass(fields.check_choice(getattr(grasp_class, "value", grasp_class), "grasp_class", ENVELOPING_CLASSES))
     shape, load = check_search(hand, body, friction, gravity_H, options)
     seed = fields.check_integer(seed, "seed", minimum=0, maximum=2**32 - 1)
-    sampler = _Sampler(hand, shape, chosen, load.friction, options)
+    sampler = _Sampler(shape, chosen, load, options)
     best, start, found = _Checked(None, "no posture touches it", 0.0), time.perf_counter(), 0
     rng = np.random.default_rng(seed)
     for k in range(_CANDIDATES):
@@ -117,8 +117,8 @@ class _Checked:
 class _Sampler:
     """Random candidates of a class."""
 
-    def __init__(self, hand: Hand, shape: Solid, grasp_class: GraspClass, friction: float, options: GraspSearchOptions) -> None:
-        self.hand, self.shape, self.grasp_class = hand, shape, grasp_class
+    def __init__(self, shape: Solid, grasp_class: GraspClass, load: LoadRequirements, options: GraspSearchOptions) -> None:
+        self.hand, self.shape, self.grasp_class = (hand := load.hand), shape, grasp_class
         kinematics = BatchKinematics(hand)
         self.scene = TouchScene(hand, kinematics.collision, shape)
         R_HP = hand.link_poses(hand.neutral)[hand.palm][1]
@@ -128,25 +128,26 @@ class _Sampler:
         bases = hand.model.joint_origins(hand.neutral)[kinematics.first_links]
         self.fingers = _closing_fingers(hand, kinematics, bases.mean(axis=0) + _HEIGHT * normal)
         self.palm = set(range(-1, len(kinematics.links))) - {frame for finger in self.fingers for frame in finger.frames}
-        names = [finger.name.lower() for finger in hand.fingers]
-        thumb = next((i for i, name in enumerate(names) if "thumb" in name), None)
-        others = [i for i in range(len(names)) if i != thumb]
-        first = next((i for i in others if any(each in names[i] for each in ("index", "first", "fore"))), others[0])
-        self._lateral: LateralSampler | None = None
-        self._power: PowerSampler | None = None
+        self._candidates: PowerSampler | LateralSampler
         if grasp_class is GraspClass.POWER:
-            self._power = PowerSampler(hand, shape, kinematics, self.scene, self.fingers, friction, options)
-        if grasp_class is GraspClass.LATERAL:
-            if thumb is None:
-                raise InvalidInput("grasp_class", grasp_class.value, f"another class: {hand.name} has no thumb")
-            self._lateral = LateralSampler(hand, shape, kinematics, self.scene, self.fingers, thumb, first)
+            self._candidates = PowerSampler(load, shape, kinematics, self.scene, self.fingers, normal)
+        else:
+            thumb, first = _thumb_and_index(hand)
+            self._candidates = LateralSampler(hand, shape, kinematics, self.scene, self.fingers, thumb, first)
 
     def sample(self, rng: np.random.Generator) -> tuple[Array, Array, Array] | None:
         """Return posture, position and axes of the object of a random candidate; None if the object does not get in place."""
-        if self._lateral is not None:
-            return self._lateral.sample(rng)
-        assert self._power is not None  # the other class
-        return self._power.sample(rng)
+        return self._candidates.sample(rng)
+
+
+def _thumb_and_index(hand: Hand) -> tuple[int, int]:
+    """Return the indices of the thumb and of the index finger, or of the first other finger if none is named so."""
+    names = [finger.name.lower() for finger in hand.fingers]
+    thumb = next((i for i, name in enumerate(names) if "thumb" in name), None)
+    if thumb is None:
+        raise InvalidInput("grasp_class", GraspClass.LATERAL.value, f"another class: {hand.name} has no thumb")
+    others = [i for i in range(len(names)) if i != thumb]
+    return thumb, next((i for i in others if any(each in names[i] for each in ("index", "first", "fore"))), others[0])
 
 
 def _closing_fingers(hand: Hand, kinematics: BatchKinematics, centre: Array) -> tuple[ClosingFinger, ...]:
@@ -211,8 +212,8 @@ def _contacts(
     for k in np.flatnonzero(gaps <= _TIE).tolist():
         body = sampler.scene.bodies[k]
         places = (points[k, 1] - p_HO) @ R_HO
-        lies = sampler.grasp_class is GraspClass.POWER and body.frame in sampler.palm
-        for place in _patch(sampler, k, sample, places) if lies else places[None]:
+        is_on_palm = sampler.grasp_class is GraspClass.POWER and body.frame in sampler.palm
+        for place in _patch(sampler, k, sample, places) if is_on_palm else places[None]:
             try:
                 p = sampler.shape.project_to_surface(place)
                 normal = sampler.shape.inward_normal(p)

@@ -14,31 +14,31 @@ import numpy.typing as npt
 
 from graspforce.core.arrays import Array
 from graspforce.geometry import Solid
-from graspforce.grasp.search.batch_kinematics import BatchKinematics, palm_normal
+from graspforce.grasp.search.batch_kinematics import BatchKinematics
+from graspforce.grasp.search.checks import LoadRequirements
 from graspforce.grasp.search.closing import GAP, ClosingFinger, TouchScene
 from graspforce.grasp.search.faces import rough_face_distances
-from graspforce.grasp.search.options import GraspSearchOptions
 from graspforce.grasp.search.sampling import random_axes, search_limits
-from graspforce.hand.hand import Hand
 
 _BATCH = 400  # proposals that are drawn at once
-_KEPT = 80  # of them, without overlaps of open fingers, whose closing is followed
-_DRAWS = 16  # candidates from them
+_KEPT = 80  # proposals of a batch whose closing motion is computed; their open fingers do not overlap the object
+_DRAWS = 16  # candidates that are drawn from a batch
 _STEPS = 14  # postures of each closing motion, from open to closed
 _OPEN_SHARE = (0.3, 1.0)  # of the way from neutral to its open end, at which a closing joint starts
-_ON_WAY = (0.3, 1.0)  # of the closing motion, after which the object is placed between two fingers
-_CLOSES = 0.7  # probability that a joint that can close a finger does
-_STAY_SHARE = (-0.6, 1.0)  # as the share above, for one that does not
+_PLACED_AFTER = (0.3, 1.0)  # share of the closing motion after which the object is placed between two fingers
+_CLOSES = 0.7  # probability that a joint which can close its finger turns in the closing motion
+_STAY_SHARE = (-0.6, 1.0)  # of the way from neutral to its open end, or to its closed end if negative, at which a joint stays
 _OPENINGS = 6  # postures, each nearer to neutral, of which the first without overlaps is taken
 _SIDE_SHARE = 0.3  # of half its range around neutral, in which the other joints are sampled
 _AT_BASES = 0.3  # share of the places that are drawn around the mean of the fingers' bases
 _PLACE_SPREAD = 0.03  # m, of these places
-_APPROACH, _BEYOND, _APPROACH_STEP = 0.02, 0.04, 0.004  # m, of the object before and after its estimated place, and in steps
+_APPROACH, _BEYOND = 0.02, 0.04  # m: the object's approach begins before its estimated place, and ends beyond it
+_APPROACH_STEP = 0.004  # m
 _SURFACE_POINTS = 150  # of the object, for its height over the palm
 _DEPTH = 0.002  # m: largest overlap of a sphere of an open finger
 _DIRECTIONS = 120  # of wrenches, for the estimate of closure
 _LEVER = 0.03  # m: moments count as forces at this lever
-_PREFERENCE = 2.0  # power of the share of the proposals, the best first, from which one is drawn
+_PREFERENCE = 2.0  # a candidate is proposal uᵖ N of N, the best first, with p this number and u uniform in (0, 1)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -64,30 +64,26 @@ class PowerSampler:
     """Random candidates of power grasps.
 
     Args:
-        hand: the hand.
+        load: the hand, and the friction of the contacts.
         shape: surface of the object.
         kinematics: of the hand.
         scene: the hand and the object.
         fingers: the joints that close the fingers.
-        friction: μ of all contacts.
-        options: of these count `palm_normal_H` and `pad_friction`.
+        normal: (3,) normal of the palm in H, towards the object.
     """
 
     def __init__(
         self,
-        hand: Hand,
+        load: LoadRequirements,
         shape: Solid,
         kinematics: BatchKinematics,
         scene: TouchScene,
         fingers: tuple[ClosingFinger, ...],
-        friction: float,
-        options: GraspSearchOptions,
+        normal: Array,
     ) -> None:
-        self._hand, self._shape, self._kinematics, self._scene, self._fingers = hand, shape, kinematics, scene, fingers
-        self._limits, self._friction, self._torsion = search_limits(hand), friction, options.pad_friction or 0.0
-        given = options.palm_normal_H
-        R_HP = hand.link_poses(hand.neutral)[hand.palm][1]
-        self._normal = np.asarray(palm_normal(hand, kinematics, R_HP) if given is None else given)
+        self._hand, self._shape, self._kinematics, self._scene, self._fingers = load.hand, shape, kinematics, scene, fingers
+        hand, self._normal = load.hand, normal
+        self._limits, self._friction, self._torsion = search_limits(hand), load.friction, load.pad_friction or 0.0
         self._bases = hand.model.joint_origins(hand.neutral)[kinematics.first_links]
         own = {frame for finger in fingers for frame in finger.frames}
         self._of_palm = np.array([body.frame not in own for body in scene.bodies[:-1]])
@@ -141,7 +137,7 @@ class PowerSampler:
         opened = self._opened(sideways, share)
         turn = np.where(closes, np.where(self._signs > 0.0, upper - opened, opened - lower), 0.0)  # rad, as far as it can
         longest = turn.max(axis=1, keepdims=True)
-        on_way = opened + self._signs * np.minimum(rng.uniform(*_ON_WAY, (B, 1)) * longest, turn)
+        on_way = opened + self._signs * np.minimum(rng.uniform(*_PLACED_AFTER, (B, 1)) * longest, turn)
         R_HO = random_axes(np.tile(self._normal, (B, 1)), rng)
         p_HO = self._places(self._kinematics.evaluate(on_way).sphere_centres, R_HO, rng)
         gaps = self._distances(self._kinematics.evaluate(opened).sphere_centres[:, None], p_HO, R_HO)[0]

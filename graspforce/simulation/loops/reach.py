@@ -12,7 +12,6 @@ from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.force.problem import ForceProblem
 from graspforce.force.solver import solve
-from graspforce.force.status import Status
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.hand import Hand
 from graspforce.planning.regrasp.rolling_motion import HeldObject, RollingMotion
@@ -78,9 +77,8 @@ def find_unholdable(grasp: Grasp, reference: Reference, duration: float, gravity
         motion, held = object_motion(reference(state.u)), state.contacts
         actuation = grasp.hand.actuation(state.q, grasp.links, held, motion.p_HO, motion.R_HO, gravity_H=gravity_H)
         problem = ForceProblem(held, grasp.body.wrench(motion, gravity_H), actuation)
-        if solve(problem, explain=False).status is Status.INFEASIBLE:
-            found = solve(problem).infeasibility
-            return state.u, "no forces hold the object" if found is None else found.explanation
+        if (infeasibility := solve(problem).infeasibility) is not None:
+            return state.u, infeasibility.explanation
     end = farthest[-1]
     if len(farthest) in (1, _ROLLING_STEPS + 1):  # fingers with few joints cannot roll at all; or it has reached the end
         return None

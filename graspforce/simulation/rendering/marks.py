@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-import mujoco
 import numpy as np
 import numpy.typing as npt
 
@@ -18,6 +17,7 @@ from graspforce.contact.use_colour import friction_use, use_colour
 from graspforce.core.arrays import Array, freeze
 from graspforce.simulation.plants.plant import Plant
 from graspforce.simulation.plants.scene import Scene
+from graspforce.simulation.plants.scene_parts import rotation_quaternion
 from graspforce.simulation.recordings.recording import Recording
 
 _HEIGHT, _MIN_HEIGHT, _MAX_HEIGHT = 0.72, 0.008, 0.03  # of cones: over the object's radius, and limits, m
@@ -160,8 +160,7 @@ def scene_state(scene: Scene, t: float, q: Array, motion: BodyMotion, contacts: 
         contacts: forces, places and friction of the contacts.
     """
     qpos = _posture_qpos(scene, q)
-    mujoco.mju_mat2Quat(quaternion := np.empty(4), motion.R_HO.ravel())
-    qpos[scene.object_q_address : scene.object_q_address + 7] = [*motion.p_HO, *quaternion]
+    qpos[scene.object_q_address : scene.object_q_address + 7] = [*motion.p_HO, *rotation_quaternion(motion.R_HO)]
     marks, load = contact_marks(scene, contacts, motion), load_mark(scene, contacts, motion)
     return SceneState(t, freeze(qpos), marks, None, _first_mocap(scene), load)
 

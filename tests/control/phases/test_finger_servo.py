@@ -17,7 +17,7 @@ HAND = Hand.load("dlr_hit2")
 FINGERS = ("thumb", "index", "ring")
 NORMALS = np.array([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0], [0.0, -0.8, 0.6]])
 ALONG, ACROSS = np.full(3, 0.3), np.full(3, 0.9)  # N
-SERVO = FingerServo(HAND, FINGERS, SensorModel(), np.array(GRAVITY_PALM_UP), 60.0)
+SERVO = FingerServo(HAND, FINGERS, SensorModel(), np.array(GRAVITY_PALM_UP), 60.0, 0.015)
 REST = 0.5 * (HAND.q_lower + HAND.q_upper)
 
 
