@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
 import pytest
+import yaml
+
+import graspforce
+from graspforce.service.server.configuration import DEFAULT_SECURE_ADDRESS
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -55,6 +60,34 @@ def test_sources_of_extension_modules_are_complete():
     listed = {path for module in SETUPTOOLS["ext-modules"] for path in module["sources"]}
     present = {path.relative_to(ROOT).as_posix() for folder in folders for path in (ROOT / folder).glob("*.c")}
     assert listed == present
+
+
+@in_source_tree
+def test_the_conda_recipe_needs_what_the_wheel_needs():
+    """The recipe repeats the version, the requirements and the licence; pip does not check them there."""
+    recipe = yaml.safe_load((ROOT / "packaging" / "conda" / "recipe.yaml").read_text())
+    project = PYPROJECT["project"]
+    assert recipe["context"]["version"] == graspforce.__version__
+    required = {name.replace(" ", "") for name in recipe["requirements"]["run"]}
+    assert required == {*project["dependencies"], f"python{project['requires-python']}"}
+    assert {name.replace(" ", "") for name in recipe["requirements"]["host"]} >= set(PYPROJECT["build-system"]["requires"])
+    assert recipe["about"]["license"] == project["license"]
+    scripts = [f"{name} = {target}" for name, target in project["scripts"].items()]
+    assert recipe["build"]["python"]["entry_points"] == scripts
+
+
+@in_source_tree
+def test_the_image_installs_extras_that_exist_and_exposes_the_port_of_the_server():
+    lines = (ROOT / "packaging" / "docker" / "Dockerfile").read_text().splitlines()
+    text = "\n".join(line for line in lines if not line.startswith("#"))
+    named = re.search(r"\{wheel\}\[([a-z0-9,]+)\]", text)
+    assert named is not None
+    assert set(named[1].split(",")) <= set(PYPROJECT["project"]["optional-dependencies"])
+    ports = {port for line in lines if line.startswith("EXPOSE") for port in line.split()[1:]}
+    metrics = re.search(r'"--metrics", "127\.0\.0\.1:(\d+)"', text)
+    assert metrics is not None
+    assert ports == {DEFAULT_SECURE_ADDRESS.rpartition(":")[2]}
+    assert f"127.0.0.1:{metrics[1]}/healthz" in text
 
 
 def test_bibliography_is_well_formed():
