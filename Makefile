@@ -30,10 +30,11 @@ demo: .venv/installed           ## start a service, carry a box with a four-fing
 test: .venv/installed-dev       ## run the test suite on all cores
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
-check: .venv/installed-dev      ## check style, format, types, and the solver under each OpenBLAS kernel
+check: .venv/installed-dev      ## check style, format, types, the Dockerfile, and the solver under each OpenBLAS kernel
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/clang-format --dry-run --Werror $(C_FILES)
+	$(BIN)/hadolint packaging/docker/Dockerfile
 	cd build/editable && ../../$(BIN)/python -m mypy --config-file ../../pyproject.toml -p graspforce
 	@# Rounding depends on OpenBLAS's kernel, which depends on the machine.
 	for kernel in $(KERNELS); do \
