@@ -36,6 +36,7 @@ class HeldObject(NamedTuple):
         servo: the servo of the fingers.
         gravity_H: (3,) acceleration of gravity in H, m/s².
         settings: times and tolerances.
+        gaps: (N,) distances of the fingertips from the modelled surface at the touch, m; negative in penetration.
     """
 
     grasp: Grasp
@@ -43,11 +44,15 @@ class HeldObject(NamedTuple):
     servo: FingerServo
     gravity_H: Array
     settings: PhaseSettings
+    gaps: Array
 
     def step(
         self, measurement: Measurement, table_share: float, base: BaseMotion, desired: BodyMotion | None = None
     ) -> ObjectCommand:
         """Return the command that keeps the object at its pose in H while the table carries a part of its weight.
+
+        The object is to stay where the fingers took it. Its pose from the touch and that of a camera differ by the errors of
+        both, and a controller that followed the camera would push the object over the table. So camera poses do not count.
 
         Args:
             measurement: the newest measurement.
@@ -56,6 +61,8 @@ class HeldObject(NamedTuple):
             desired: desired pose of the object. Default: that of the grasp.
         """
         grasp = self.grasp
+        if measurement.object is not None:
+            measurement = replace(measurement, object=None)
         external = table_wrench(grasp.body, grasp.R_HO, self.gravity_H, table_share)
         external = external + inertial_wrench(grasp.body, grasp.R_HO, base.a)
         target = BodyMotion(grasp.p_HO, grasp.R_HO) if desired is None else desired
@@ -110,12 +117,16 @@ class YieldingTarget:
 class GraspWatch:
     """Finds when the forces are infeasible, or a fingertip has left the object, for longer than the loss time.
 
+    A fingertip may be off the modelled surface when it touches: the object tilts a little, or differs from its model. So the
+    distance counts from that of the touch.
+
     Args:
         held: the object.
     """
 
     def __init__(self, held: HeldObject) -> None:
         self._held, self._without_forces, self._apart = held, 0.0, 0.0
+        self._largest_gap = held.settings.contact_tolerance + np.maximum(held.gaps, 0.0)  # m
 
     def abort_reason(self, command: ObjectCommand) -> str:
         """Return the reason to stop the cycle after a step; empty for none.
@@ -126,7 +137,7 @@ class GraspWatch:
         period, settings = self._held.servo.period, self._held.settings
         self._without_forces = self._without_forces + period if command.forces_reused else 0.0
         gap = getattr(getattr(self._held.controller, "estimate", None), "gap", None)
-        is_apart = gap is not None and float(np.max(gap)) > settings.contact_tolerance
+        is_apart = gap is not None and bool((np.asarray(gap) > self._largest_gap).any())
         self._apart = self._apart + period if is_apart else 0.0
         if self._without_forces > settings.loss_time:
             return NO_FORCES

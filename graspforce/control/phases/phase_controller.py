@@ -20,7 +20,7 @@ from graspforce.control.phases.phase_rules import PAUSED, PHASE_ORDER, PHASE_RUL
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.phases.phase_step import FeedbackController, PhaseCommand, PhaseRecord, PhaseTorques
 from graspforce.control.phases.release_phase import ReleasePhase
-from graspforce.control.phases.touched_grasp import pose_from_touch, touch_misfit, touched_grasp
+from graspforce.control.phases.touched_grasp import pose_from_touch, touch_gaps, touched_grasp
 from graspforce.control.settings import ControlSettings
 from graspforce.core.arrays import Array, freeze
 from graspforce.estimation.measurement import Measurement
@@ -183,10 +183,11 @@ class PhaseController:
         plan = self.plan
         pose = pose_from_touch(plan.grasp, servo.p_tip, plan.down, self.settings)
         self.grasp = touched_grasp(plan.grasp, servo.q, servo.p_tip, pose)
-        if touch_misfit(self.grasp, servo.p_tip) > self.settings.fit_tolerance:
+        gaps = touch_gaps(self.grasp, servo.p_tip)  # m
+        if float(np.abs(gaps).max()) > self.settings.fit_tolerance:
             return False
         controller = self._make_controller(self.grasp)
-        self._held = HeldObject(self.grasp, controller, self._servo, plan.gravity_H, self.settings)
+        self._held = HeldObject(self.grasp, controller, self._servo, plan.gravity_H, self.settings, gaps)
         return True
 
     def _stop(self, t: float, reason: str, q: Array, base: BaseMotion) -> None:

@@ -84,8 +84,8 @@ def touched_grasp(grasp: Grasp, q: Array, p_tip: Array, pose: tuple[Array, Array
     return replace(grasp, contacts=ContactSet.stack(contacts), q=q, p_HO=p_HO, R_HO=R_HO)
 
 
-def touch_misfit(grasp: Grasp, p_tip: Array) -> float:
-    """Return the largest distance between a fingertip's surface and the object's, m.
+def touch_gaps(grasp: Grasp, p_tip: Array) -> Array:
+    """Return the distances (N,) between the fingertips' surfaces and the object's, m; negative in penetration.
 
     Args:
         grasp: the grasp, with the object's pose.
@@ -94,7 +94,7 @@ def touch_misfit(grasp: Grasp, p_tip: Array) -> float:
     shape = grasp.body.shape
     assert shape is not None  # pose_from_touch checks it
     radii = np.array([grasp.hand.finger(name).tip_radius or 0.0 for name in grasp.fingers])  # m
-    return float(np.abs(_distances(shape, grasp.p_HO, grasp.R_HO, p_tip) - radii).max())
+    return np.asarray(_distances(shape, grasp.p_HO, grasp.R_HO, p_tip) - radii)
 
 
 def contact_shifts(planned: Grasp, touched: Grasp) -> tuple[Array, Array]:

@@ -16,6 +16,7 @@ from graspforce.control.phases.phase_step import PhaseCommand, PhaseRecord
 from graspforce.control.state import GraspState
 from graspforce.core.arrays import Array, freeze
 from graspforce.estimation.measurement import Measurement
+from graspforce.geometry.rotations import rotation_exp
 from graspforce.simulation.cycle.rest import resting_pose
 from graspforce.simulation.cycle.table_scene import TableScene
 from graspforce.simulation.plants.driven_plant import DrivenPlant, step_plant
@@ -27,6 +28,8 @@ from graspforce.simulation.worlds.world_plants import make_plant, with_drives
 
 _TIME_AFTER_STOP = 0.5  # s, simulated after the cycle has stopped or is done
 _PUSH_DELAY = 0.2  # s after the begin of the move at which the world's pushes begin
+# rad, of the object: MuJoCo's collision of a plane with a cylinder may miss faces that are parallel up to rounding
+_TILT = 1e-6
 
 StepCallback = Callable[[Plant, PhaseCommand], bool | None]
 
@@ -146,8 +149,8 @@ class TablePlant:
         R_OG = Rotation.from_rotvec(np.array(options.shape_turn)).as_matrix()  # G: frame of the surface
         p_GM = R_OG.T @ ((options.body or scene.grasp.body).p_OM - options.shape_offset)
         p_HG, R_HG = resting_pose(scene.grasp.body.shape, p_GM, pose, scene.down)
-        R_HO = R_HG @ R_OG.T
-        self.plant.reset()
+        R_HO = rotation_exp(_TILT * np.linalg.svd(scene.down[None])[2][1]) @ R_HG @ R_OG.T
+        self.plant.reset(np.zeros(scene.grasp.contacts.size))  # the fingers do not touch yet, so they need not hold the object
         self.inner.place(q, p_HG - R_HO @ options.shape_offset, R_HO)
 
     def step(self, command: PhaseCommand, active: PhaseCommand) -> None:

@@ -37,6 +37,7 @@ _STARTS, _START_SPREAD = 40, 0.15  # random start postures that are tried, and t
 _LEAST_WAY = 0.05  # rad, of the joint that moves furthest in the approach
 _LARGEST_ERROR, _LARGEST_TURN = 0.01, math.radians(10.0)  # m and rad, of the object's pose, at which nothing touches yet
 _DIRECTIONS = 8  # of the displacement
+_CHECKED_POSTURES = 20  # of an optimised approach
 _JOINT_SPEED = 0.5  # rad/s: mean rate of the fastest joint in the approach
 _LEAST_TIME = 0.8  # s, of the approach
 _LIFT = 0.05  # m
@@ -131,14 +132,17 @@ def _least_gap(scene: TableScene, q: Array) -> float:
 
 
 def _approach(scene: TableScene, q_start: Array, q_goal: Array, optimised: bool) -> JointTrajectory:
-    """Return the motion to the pre-grasp posture."""
+    """Return the motion to the pre-grasp posture: the optimised one if nothing touches, otherwise a straight line."""
     duration = max(float(np.abs(q_goal - q_start).max()) / _JOINT_SPEED, _LEAST_TIME)
     if optimised:
         task = FingerTask(scene.grasp.hand, scene.gravity_H, CollisionSettings(obstacles=_obstacles(scene)))
         plan = FingersMove(task, np.array([q_start, q_goal])).plan(budget=10.0)
         if not isinstance(plan, PlanFailure):
             knots, scale = plan.knots, max(duration / plan.duration, 1.0)
-            return JointTrajectory(scale * knots.times, knots.q, knots.v / scale, knots.a / scale**2)
+            motion = JointTrajectory(scale * knots.times, knots.q, knots.v / scale, knots.a / scale**2)
+            checked = (motion(t).q for t in np.linspace(0.0, motion.duration, _CHECKED_POSTURES))
+            if all(_least_gap(scene, q) >= _LEAST_CLEARANCE for q in checked):  # also of an object that is displaced
+                return motion
     return JointTrajectory.between(q_start, q_goal, duration)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.phases.tip_motion import TipMotion, opened_posture
-from graspforce.control.phases.touched_grasp import contact_shifts, pose_from_touch, touched_grasp
+from graspforce.control.phases.touched_grasp import contact_shifts, pose_from_touch, touch_gaps, touched_grasp
 from graspforce.geometry.rotations import rotation_exp
 from tests.support.table_scenes import ball_scene
 
@@ -72,3 +72,12 @@ def test_tip_motion_moves_the_tips_with_the_given_velocities():
     q, rates = motion.advance(grasp.q, velocities, dt)
     assert np.abs(motion.positions(q) - motion.positions(grasp.q) - dt * velocities).max() < 5e-6  # m: damping and curvature
     assert np.allclose(rates, (q - grasp.q) / dt)
+
+
+def test_gaps_at_the_touch_are_the_distances_of_the_tips_from_the_surface():
+    """A fingertip that is moved along its outward normal is as far from the surface of a ball."""
+    grasp = ball_scene().grasp
+    outward = -grasp.contacts.R_OC[:, :, 2] @ grasp.R_HO.T
+    moved = np.array([0.002, 0.0, -0.001])
+    at_contact = touch_gaps(grasp, tips(grasp))
+    assert touch_gaps(grasp, tips(grasp) + moved[:, None] * outward) - at_contact == pytest.approx(moved, abs=1e-6)

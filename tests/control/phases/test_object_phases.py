@@ -1,0 +1,71 @@
+"""Phases of the held object: what its controller is told, and when a fingertip counts as lost."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from graspforce.control.phases.cycle_plan import BaseMotion
+from graspforce.control.phases.object_phases import GraspWatch, HeldObject
+from graspforce.control.phases.phase_rules import LOST_CONTACT
+from graspforce.control.phases.phase_settings import PhaseSettings
+from graspforce.estimation.measurement import Measurement, PoseMeasurement
+from tests.support.table_scenes import ball_scene
+
+PERIOD = 1e-3  # s
+SETTINGS = PhaseSettings(contact_tolerance=4e-3, loss_time=0.1)
+
+
+class RecordingController:
+    """Controller that keeps its measurements, with a given estimate."""
+
+    def __init__(self, gap=(0.0, 0.0, 0.0)):
+        self.measurements = []
+        self.estimate = SimpleNamespace(gap=np.array(gap))
+
+    def step(self, measurement, desired, external=None):
+        self.measurements.append(measurement)
+        return SimpleNamespace(forces_reused=False)
+
+
+def held_object(controller: RecordingController, gaps=(0.0, 0.0, 0.0)) -> HeldObject:
+    scene, servo = ball_scene(), SimpleNamespace(period=PERIOD)
+    return HeldObject(scene.grasp, controller, servo, scene.gravity_H, SETTINGS, np.array(gaps))
+
+
+def loss_time(held: HeldObject) -> float:
+    """Return the time until the watch finds a lost contact, s; infinite if it finds none within a second."""
+    watch = GraspWatch(held)
+    for k in range(1000):
+        if watch.abort_reason(SimpleNamespace(forces_reused=False)) == LOST_CONTACT:
+            return k * PERIOD
+    return np.inf
+
+
+def test_camera_does_not_move_a_held_object():
+    """The pose from the touch and that of a camera differ; the object stays where the fingers took it."""
+    controller = RecordingController()
+    held = held_object(controller)
+    grasp = held.grasp
+    seen = PoseMeasurement(0.0, grasp.p_HO + 0.01, grasp.R_HO)
+    held.step(Measurement(0.0, grasp.q, object=seen), 1.0, BaseMotion.at_rest(np.zeros(3)))
+    held.step(Measurement(PERIOD, grasp.q), 1.0, BaseMotion.at_rest(np.zeros(3)))
+    assert [each.object for each in controller.measurements] == [None, None]
+    assert [each.t for each in controller.measurements] == [0.0, PERIOD]
+
+
+@pytest.mark.parametrize(
+    ("gap", "at_touch", "expected"),
+    [
+        (0.003, 0.0, np.inf),  # within the tolerance
+        (0.005, 0.0, SETTINGS.loss_time),
+        (0.008, 0.005, np.inf),  # 3 mm further than at the touch
+        (0.010, 0.005, SETTINGS.loss_time),
+        (0.005, -0.005, SETTINGS.loss_time),  # a fingertip inside the modelled surface has no more room
+    ],
+)
+def test_fingertip_is_lost_when_it_leaves_its_place_at_the_touch(gap, at_touch, expected):
+    held = held_object(RecordingController((0.0, gap, 0.0)), (0.0, at_touch, 0.0))
+    assert loss_time(held) == pytest.approx(expected, abs=2 * PERIOD)
