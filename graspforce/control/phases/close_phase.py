@@ -12,6 +12,7 @@ from graspforce.control.phases.phase_rules import NO_CONTACT
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.phases.phase_step import PhaseTorques
 from graspforce.control.phases.tip_motion import TipMotion
+from graspforce.control.phases.touched_grasp import pose_from_touch, touch_gaps, touched_grasp
 from graspforce.core.arrays import Array, freeze
 from graspforce.estimation.measurement import Measurement
 
@@ -21,6 +22,7 @@ _LEAST_FREE_TRAVEL = 0.003  # m: the fingers overcome their static friction befo
 _FRICTION_SHARE = 0.3  # of the observed joint friction at the tip, by which the bound grows: friction is not constant
 _ACROSS_SHARE = 1.5  # the same across the normals: static friction exceeds the observed one, and such a force hardly pushes
 _RISE_TIME = 0.1  # s, of the closing speed
+_MOST_RETRIES, _RETRY_EFFORT = 2, 2.0  # of fingers that stopped off the object, and factor of their bound each time
 _FREE_DEVIATIONS = 2.0  # standard deviations of the object's place within which a finger may touch
 
 
@@ -29,6 +31,9 @@ class ClosePhase:
 
     A finger that touches stops. Its target is then inside the object along the normal, so that its feedback, which is bounded,
     presses with the touch force.
+
+    A finger may also stop by static friction of its joints, or lose the object that another finger moves. When all have
+    stopped, those that are off the surface of the most probable object go on with a larger bound, twice at most.
 
     Args:
         servo: the servo.
@@ -47,6 +52,7 @@ class ClosePhase:
         self, servo: FingerServo, detector: ContactDetector, plan: CyclePlan, settings: PhaseSettings, base: BaseMotion
     ) -> None:
         grasp = plan.grasp
+        self._plan, self._retries = plan, 0
         self._servo, self._detector, self._settings, self._base = servo, detector, settings, base
         self._motion, self._standoff = TipMotion(grasp.hand, grasp.fingers), plan.standoff
         self._normals = grasp.contacts.R_OC[:, :, 2] @ grasp.R_HO.T
@@ -56,6 +62,7 @@ class ClosePhase:
         self._free_travel = max(float((plan.standoff - _FREE_DEVIATIONS * spread).min()), _LEAST_FREE_TRAVEL)  # m
         self._q = plan.q_pregrasp
         self._travel = np.zeros(count)  # m, of the targets
+        self._effort = np.ones(count)  # factor of the bound's share of the friction
         self._memory: DetectorMemory | None = None
         self.signs: tuple[str, ...] = ("",) * count
         self.p_touch = np.full((count, 3), np.nan)
@@ -81,19 +88,43 @@ class ClosePhase:
         servo = self._servo.step(memory, measurement, JointMotion(self._q, rates), bounds, is_free=is_free)
         self._detect(measurement, servo[0], force, is_free)
         missed = bool(((self._travel > farthest) & is_moving).any())
-        is_over = all(self.signs)
+        is_over = all(self.signs) and not self._retry(servo[0])
         return PhaseTorques(servo[0].tau, servo, self._base, is_over, NO_CONTACT if missed and not is_over else "")
 
     def _bound(self, memory: ServoMemory, share: float) -> Array:
         """Return the largest feedback force (N,) of each finger, N: the touch force and a share of its joints' friction."""
-        return np.asarray(self._settings.touch_force + share * self._motion.tip_forces(self._q, memory.friction))
+        friction = self._motion.tip_forces(self._q, memory.friction)  # N
+        return np.asarray(self._settings.touch_force + share * self._effort * friction)
+
+    def _retry(self, servo: ServoStep) -> bool:
+        """Let the fingers go on that have stopped off the object, and return whether any does."""
+        plan, settings = self._plan, self._settings
+        if self._retries == _MOST_RETRIES or self._memory is None:
+            return False
+        pose = pose_from_touch(plan.grasp, servo.p_tip, plan.down, settings)
+        gaps = touch_gaps(touched_grasp(plan.grasp, servo.q, servo.p_tip, pose), servo.p_tip)  # m
+        is_off = gaps > settings.contact_tolerance
+        if not is_off.any():
+            return False
+        self._retries += 1
+        excess = self._motion.positions(self._q) - servo.p_tip  # m
+        self._q, _ = self._motion.advance(self._q, np.where(is_off[:, None], -excess, 0.0), 1.0)
+        self._effort = np.where(is_off, _RETRY_EFFORT * self._effort, self._effort)
+        self._memory = self._detector.restarted(self._memory, is_off)
+        self.signs = tuple("" if off else sign for sign, off in zip(self.signs, is_off.tolist(), strict=True))
+        return True
+
+    def _along(self, vectors: Array) -> Array:
+        """Return the components (N,) of vectors (N, 3) along the inward normals."""
+        return np.asarray(np.einsum("ij,ij->i", vectors, self._normals))
 
     def _detect(self, measurement: Measurement, servo: ServoStep, force: Array, is_free: bool) -> None:
         """Stop the fingers that touch now, and set their targets inside the object."""
         p_tip = servo.p_tip
         if self._memory is None:
             self._memory = self._detector.initial_memory(p_tip)
-        signs, self._memory = self._detector.step(self._memory, measurement, servo, self._normals, force, is_free)
+        lag = self._along(self._motion.positions(self._q) - p_tip)  # m
+        signs, self._memory = self._detector.step(self._memory, measurement, servo, self._normals, lag, force, is_free)
         found = [i for i, sign in enumerate(signs) if sign and not self.signs[i]]
         if not found:
             return

@@ -3,7 +3,7 @@
 - ``tip force``: the measured force on the fingertip, low-passed, along the inward normal.
 - ``joint torque``: the force at the tip that explains the disturbance of the joints beyond that of the free motion, while the
   tip is slower than commanded.
-- ``stall``: the tip has stopped although it is commanded to move.
+- ``stall``: the tip has stopped although it is commanded to move, or its target is further ahead than in free motion.
 
 With fingertip sensors only the first applies. Otherwise the second and the third apply together, the second only if joint
 torques are measured or the drives take torques or currents.
@@ -12,10 +12,11 @@ torques are measured or the drives take torques or currents.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.control.phases.finger_servo import ServoStep
 from graspforce.control.phases.phase_settings import PhaseSettings
@@ -33,6 +34,7 @@ _SPEED_TIME = 0.03  # s: low-pass of the tips' speeds
 _DEVIATIONS = 5.0  # standard deviations of a filtered force that count as contact
 _FORCE_SHARE, _SLOW, _STALLED = 0.6, 0.6, 0.3  # of the bound of the feedback, and of the commanded speed
 _STALL_TIME = 0.06  # s
+_STALL_LAG = 0.004  # m, from a tip to its target: noise of the encoders, which hides a low speed, does not hide it
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -88,8 +90,25 @@ class ContactDetector:
         rest = freeze(np.zeros(count))
         return DetectorMemory(rest, zeros, zeros, freeze(np.full(count, self._commanded_speed)), p_tip, rest)
 
+    def restarted(self, memory: DetectorMemory, fingers: npt.NDArray[np.bool_]) -> DetectorMemory:
+        """Return the memory with fingers that move again.
+
+        Args:
+            memory: memory after the last step.
+            fingers: (N,) fingers that had stopped, and move again.
+        """
+        speed, stalled = np.where(fingers, self._commanded_speed, memory.speed), np.where(fingers, 0.0, memory.stalled)
+        return replace(memory, speed=freeze(speed), stalled=freeze(stalled))
+
     def step(
-        self, memory: DetectorMemory, measurement: Measurement, servo: ServoStep, normals: Array, bound: Array, is_free: bool
+        self,
+        memory: DetectorMemory,
+        measurement: Measurement,
+        servo: ServoStep,
+        normals: Array,
+        lag: Array,
+        bound: Array,
+        is_free: bool,
     ) -> tuple[tuple[ContactSign, ...], DetectorMemory]:
         """Return what shows a contact of each finger, and the memory for the next step.
 
@@ -98,6 +117,7 @@ class ContactDetector:
             measurement: the newest measurement.
             servo: result of the servo in this step.
             normals: (N, 3) inward normals in H.
+            lag: (N,) distance of each tip from its target along the normal, m.
             bound: (N,) bound of the feedback of each finger at its tip, N.
             is_free: whether no fingertip can touch yet; the baseline is learned then.
         """
@@ -122,7 +142,7 @@ class ContactDetector:
                 sign = "tip force" if force[i] > self.force_threshold else ""
             elif self._has_torques and pressing[i] > _FORCE_SHARE * bound[i] and filtered[i] < _SLOW * speed:
                 sign = "joint torque"
-            elif stalled[i] > _STALL_TIME:
+            elif stalled[i] > _STALL_TIME or lag[i] > _STALL_LAG:
                 sign = "stall"
             signs.append(sign)
         after = DetectorMemory(

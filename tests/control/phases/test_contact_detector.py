@@ -20,8 +20,8 @@ TORQUES = SensorModel(torque_noise=0.01)
 SERVO_HAND = HAND.with_drives(Drive("position", stiffness=20.0, damping=0.1))
 
 
-def signs_of(hand, sensors, speed, force, tip_force=0.0, steps=300, free=100):
-    """Return the signs after a free stretch at full speed, and then with the given speed and force of both fingers."""
+def signs_of(hand, sensors, speed, force, tip_force=0.0, steps=300, free=100, lag=0.0):
+    """Return the signs after a free stretch at full speed, and then with the given speed, force and lag of both fingers."""
     detector = ContactDetector(hand, sensors, SETTINGS, DT)
     p = np.zeros((2, 3))
     memory = detector.initial_memory(p)
@@ -35,7 +35,8 @@ def signs_of(hand, sensors, speed, force, tip_force=0.0, steps=300, free=100):
         if sensors.tip_force_noise is not None:
             wrench = np.hstack([(0.0 if is_free else tip_force) * NORMALS, np.zeros((2, 3))])
         measurement = Measurement(DT * k, np.zeros(12), tip_wrench=wrench)
-        signs, memory = detector.step(memory, measurement, servo, NORMALS, np.full(2, SETTINGS.touch_force), is_free)
+        lags, bounds = np.full(2, 0.0 if is_free else lag), np.full(2, SETTINGS.touch_force)
+        signs, memory = detector.step(memory, measurement, servo, NORMALS, lags, bounds, is_free)
     return signs
 
 
@@ -54,6 +55,24 @@ def test_slow_finger_that_pushes_shows_contact_in_its_joints():
 
 def test_position_servo_without_torque_sensors_shows_contact_by_a_stall():
     assert signs_of(SERVO_HAND, SensorModel(), 0.0, 0.2) == ("stall",) * 2
+
+
+def test_finger_far_behind_its_target_shows_contact_by_a_stall():
+    """Noise of the encoders may hide how slow a finger is; its distance to the target, which goes on, does not."""
+    assert signs_of(SERVO_HAND, SensorModel(), 0.5 * SETTINGS.close_speed, 0.0, lag=0.003) == ("", "")
+    assert signs_of(SERVO_HAND, SensorModel(), 0.5 * SETTINGS.close_speed, 0.0, lag=0.005) == ("stall",) * 2
+
+
+def test_finger_that_moves_again_has_not_stalled():
+    detector, p = ContactDetector(SERVO_HAND, SensorModel(), SETTINGS, DT), np.zeros((2, 3))
+    servo = ServoStep(np.zeros(12), np.zeros(12), np.zeros(12), p, np.zeros((2, 3)), np.zeros((2, 3)))
+    inputs = Measurement(0.0, np.zeros(12)), servo, NORMALS, np.zeros(2), np.ones(2), False
+    memory = detector.initial_memory(p)
+    for _ in range(300):
+        signs, memory = detector.step(memory, *inputs)
+    assert signs == ("stall",) * 2
+    signs, _ = detector.step(detector.restarted(memory, np.array([True, False])), *inputs)
+    assert signs == ("", "stall")
 
 
 def test_finger_that_pushes_at_full_speed_is_not_stopped_by_a_disturbance():

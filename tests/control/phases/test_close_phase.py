@@ -1,0 +1,89 @@
+"""The guarded close of fingers that stop off the object."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from graspforce.control.phases.close_phase import ClosePhase
+from graspforce.control.phases.contact_detector import ContactDetector
+from graspforce.control.phases.cycle_plan import BaseMotion, CyclePlan
+from graspforce.control.phases.finger_servo import ForceBounds, ServoMemory, ServoStep
+from graspforce.control.phases.phase_settings import PhaseSettings
+from graspforce.control.phases.touched_grasp import touch_gaps
+from graspforce.estimation.measurement import Measurement
+from graspforce.estimation.sensor_model import SensorModel
+from graspforce.simulation.cycle.plan_cycle import CycleMotion, plan_cycle
+from tests.support.table_scenes import ball_scene
+
+PERIOD, SETTINGS = 1e-3, PhaseSettings(close_speed=0.05)
+STUCK = 0.01  # m before its contact, where the first finger sticks
+
+
+@pytest.fixture(scope="module")
+def plan() -> CyclePlan:
+    return plan_cycle(ball_scene(), SETTINGS, CycleMotion(optimised=False))
+
+
+class StickingServo:
+    """Servo whose tips follow their targets up to the ball; the first one sticks before, up to a force along its normal.
+
+    Args:
+        plan: the plan.
+        force: largest force at which the first finger sticks, N.
+    """
+
+    period = PERIOD
+
+    def __init__(self, plan: CyclePlan, force: float) -> None:
+        grasp = plan.grasp
+        self._grasp, self._force = grasp, force
+        self._normals = grasp.contacts.R_OC[:, :, 2] @ grasp.R_HO.T
+        self._touch = np.array([grasp.hand.tip_pose(grasp.q, name)[0] for name in grasp.fingers])
+
+    def step(self, memory, measurement, desired, bounds, *, is_free=False):
+        hand, fingers = self._grasp.hand, self._grasp.fingers
+        targets = np.array([hand.tip_pose(desired.q, name)[0] for name in fingers])
+        ahead = np.einsum("ij,ij->i", targets - self._touch, self._normals)  # m
+        room = np.zeros(len(fingers))
+        if isinstance(bounds, ForceBounds) and bounds.along[0] <= self._force:
+            room[0] = -STUCK
+        p_tip = targets - np.maximum(ahead - room, 0.0)[:, None] * self._normals
+        none = np.zeros((len(fingers), 3))
+        return ServoStep(np.zeros(hand.n), desired.q, np.zeros(hand.n), p_tip, none, none), memory
+
+
+def close(plan: CyclePlan, force: float) -> tuple[bool, str, np.ndarray]:
+    """Return whether the close ends, why it aborts, and the gaps at its end, m."""
+    hand = plan.grasp.hand
+    servo, detector = StickingServo(plan, force), ContactDetector(hand, SensorModel(), SETTINGS, PERIOD)
+    phase = ClosePhase(servo, detector, plan, SETTINGS, BaseMotion.at_rest(np.zeros(3)))
+    memory = ServoMemory(None, np.zeros(hand.n), np.full(hand.n, 0.05))
+    for k in range(3000):
+        result = phase.step(k * PERIOD, Measurement(k * PERIOD, plan.q_pregrasp), memory)
+        if result.is_over or result.abort:
+            break
+    return result.is_over, result.abort, touch_gaps(plan.grasp, result.servo[0].p_tip)
+
+
+def largest_bound(plan: CyclePlan) -> float:
+    """Return the bound of the first finger before it is raised, N."""
+    hand = plan.grasp.hand
+    servo, detector = StickingServo(plan, 0.0), ContactDetector(hand, SensorModel(), SETTINGS, PERIOD)
+    phase = ClosePhase(servo, detector, plan, SETTINGS, BaseMotion.at_rest(np.zeros(3)))
+    return float(phase._bound(ServoMemory(None, np.zeros(hand.n), np.full(hand.n, 0.05)), 0.3)[0])
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.5])
+def test_finger_that_sticks_off_the_object_goes_on_until_it_touches(plan, factor):
+    """A finger that stops 10 mm early does not fit the ball of the others; with twice the bound it breaks loose."""
+    is_over, abort, gaps = close(plan, factor * largest_bound(plan))
+    assert is_over, abort
+    assert np.abs(gaps).max() < 1e-3
+
+
+def test_close_ends_with_a_finger_that_never_breaks_loose(plan):
+    """The controller then compares the touched places with the object, and stops."""
+    is_over, abort, gaps = close(plan, 1e3)
+    assert is_over, abort
+    assert gaps[0] == pytest.approx(STUCK, abs=1e-3)
