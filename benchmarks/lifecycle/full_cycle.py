@@ -21,7 +21,7 @@ from graspforce.core.result_file import ResultFile, read_results
 from graspforce.geometry import Box, Cylinder, Solid, Sphere, Superquadric
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
-from graspforce.hand.hand import Hand
+from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
 from graspforce.simulation import World
 from graspforce.simulation.cycle.cycle_outcome import CycleOutcome, judge_cycle
 from graspforce.simulation.cycle.episode import PoseError, run_episode
@@ -107,7 +107,8 @@ def find_scene(hand: str, name: str) -> JsonRecord:
     print(f"{hand}: searching a grasp of {name}", flush=True)
     record: JsonRecord = {"kind": "scene", "hand": hand, "object": name, "fault": ""}
     try:
-        scene, _ = find_cycle(Hand.load(hand), Body.solid(OBJECTS[name], MASS), friction=FRICTION)
+        control = REAL_ASSUMPTIONS.settings(GRAVITY_PALM_UP)
+        scene, _ = find_cycle(Hand.load(hand), Body.solid(OBJECTS[name], MASS), friction=FRICTION, control=control)
     except InvalidInput as error:
         return {**record, "fault": str(error), "seconds": time.perf_counter() - start}
     found = {

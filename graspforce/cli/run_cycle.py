@@ -27,6 +27,7 @@ from graspforce.control.settings import ControlSettings
 from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput
 from graspforce.estimation.sensor_model import SensorModel
+from graspforce.hand.hand import GRAVITY_PALM_UP
 from graspforce.planning.failure import PlanFailure
 from graspforce.planning.fastest_cycle import CycleLimits, fastest_cycle
 from graspforce.service import PhaseStreamSetup
@@ -165,7 +166,7 @@ def _find(options: CycleOptions, console: Console) -> tuple[TableScene, CyclePla
         motion = CycleMotion(options.lift, (options.move[0], options.move[1]))
         scene, plan = find_cycle(
             given.hand, given.body, fingers, friction=given.mu, seed=given.seed, settings=options.settings(), motion=motion,
-            on_seed=on_seed,
+            control=options.assumptions.settings(GRAVITY_PALM_UP), on_seed=on_seed,
         )  # fmt: skip
     standoff = ", ".join(f"{1e3 * each:.0f}" for each in plan.standoff)
     console.print(

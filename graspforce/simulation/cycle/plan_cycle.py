@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,7 @@ from graspforce.control.joints.joint_trajectory import JointTrajectory
 from graspforce.control.phases.cycle_plan import CyclePlan
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.phases.tip_motion import opened_posture
+from graspforce.control.settings import ControlSettings
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.geometry import Box, Cylinder, Sphere
@@ -25,6 +26,7 @@ from graspforce.hand.hand import Hand
 from graspforce.planning.failure import PlanFailure
 from graspforce.planning.moves.fingers_move import FingersMove
 from graspforce.planning.task import FingerTask
+from graspforce.simulation.cycle.cycle_checks import check_size, check_weight
 from graspforce.simulation.cycle.table_scene import TableScene, find_table_grasp, hand_clearance
 
 SeedCallback = Callable[[int, str], None]
@@ -176,6 +178,7 @@ def find_cycle(
     seed: int = 0,
     settings: PhaseSettings | None = None,
     motion: CycleMotion | None = None,
+    control: ControlSettings | None = None,
     on_seed: SeedCallback = lambda seed, message: None,
 ) -> tuple[TableScene, CyclePlan]:
     """Find a grasp of an object on a table, and plan its cycle: the first of some seeds of `find_grasp` that allows one.
@@ -188,15 +191,20 @@ def find_cycle(
         seed: first seed.
         settings: settings of the phases.
         motion: motion of the hand.
+        control: settings of the object controller, whose gravity does not count: the grasp must hold the weight with the least
+            friction that they assume. Default: `ControlSettings()`.
         on_seed: called with each seed, and what its grasp lacks; with an empty text for the one that is used.
 
     Raises:
-        InvalidInput: no grasp of these seeds allows a cycle; gives the fault of the last one.
+        InvalidInput: the object is too wide for the hand, or no grasp of these seeds allows a cycle; gives the fault of the
+            last one.
     """
+    check_size(hand, body, friction)
     fault = ""
     for each in range(seed, seed + _SEEDS):
         try:
             scene = find_table_grasp(hand, body, fingers, friction=friction, seed=each)
+            check_weight(scene.grasp, replace(control or ControlSettings(), gravity_H=scene.gravity_H))
             plan = plan_cycle(scene, settings, motion)
         except InvalidInput as error:
             fault = str(error)
