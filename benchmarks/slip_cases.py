@@ -22,12 +22,16 @@ from graspforce.estimation.grasp_monitor import AppliedCommand, GraspMonitor, Gr
 from graspforce.geometry import Box, Sphere
 from graspforce.geometry.rotations import rotation_exp
 from graspforce.grasp.body import Body
+from graspforce.grasp.collision.nearest_pair import NearestPair
+from graspforce.grasp.collision.scene_collision import SceneCollision
+from graspforce.grasp.collision.settings import CollisionSettings
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import find_grasp
 from graspforce.simulation import Disturbance, FrictionChange, Plant, Push
 
 HANDS, OBJECTS = ("allegro_right", "dlr_hit2", "four_finger"), ("ball", "box")
 PERIOD, FRICTION, TRAVEL = 1e-3, 0.7, 0.005  # s, of all contacts, and m at 1 Hz
+_FAR_END, _CHECK_STEPS, _DRAWS = 0.51, 10, 100  # s: the motion ends at 0.5 s; periods between two checks; directions
 _BODIES = {"ball": Body.solid(Sphere(0.03), 0.05), "box": Body.solid(Box((0.05, 0.05, 0.05)), 0.05)}
 _ARRAYS = ("q", "p_HO", "R_HO", "tau", "joint_acceleration", "free_torque", "f_H", "f", "R_OC", "mu", "touching", "slip")
 
@@ -65,6 +69,27 @@ class FingerPush:
             arm = plant.data.geom_xpos[geom] - plant.data.xipos[body]  # m
             plant.add_wrench(body, self.force, np.cross(arm, self.force))
         return tau
+
+
+def free_direction(rng: np.random.Generator, hand: str, held: str) -> Array:
+    """Return a random unit vector in H along which the undisturbed motion is free of collisions.
+
+    Directions are drawn uniformly until no two bodies touch that must not, up to the far end of the motion.
+
+    Raises:
+        RuntimeError: there is no such direction among 100.
+    """
+    grasp = grasp_of(hand, held)
+    nearest = NearestPair(grasp.hand, SceneCollision(grasp.hand, grasp.body.shape, grasp.fingers, CollisionSettings()))
+    for _ in range(_DRAWS):
+        direction = rng.standard_normal(3)
+        direction /= np.linalg.norm(direction)
+        rows = record(hand, held, _FAR_END, direction).rows
+        states = zip(*(rows[name][::_CHECK_STEPS] for name in ("q", "p_HO", "R_HO")), strict=True)
+        gaps = [nearest.find(*state) for state in states]
+        if all(gap is None or gap.distance > 0.0 for gap in gaps):
+            return np.asarray(direction)
+    raise RuntimeError(f"{hand}, {held}: no direction without collisions")
 
 
 def random_disturbance(rng: np.random.Generator, kind: str, grasp: Grasp, start: float) -> Disturbance:

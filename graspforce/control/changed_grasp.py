@@ -9,7 +9,6 @@ import numpy as np
 
 from graspforce.contact.contact import Contact, ContactSet
 from graspforce.control.contacts.contact_change import ContactChange, ForceRamp
-from graspforce.control.contacts.slip_reflex import ReflexMemory
 from graspforce.control.memory import ControlMemory
 from graspforce.control.state import GraspState
 from graspforce.core.arrays import Array, freeze
@@ -64,10 +63,6 @@ def _with_contacts(
     if memory.f is not None:
         padded = np.vstack([grasp.contacts.pad(memory.f)[list(kept)], np.zeros((new, 4))])
         f = freeze(padded.ravel()[contacts.columns])
-    reflex = memory.reflex
-    if reflex is not None:
-        slipping = np.append(reflex.slipping[list(kept)], np.zeros(new, dtype=np.bool_))
-        reflex = ReflexMemory(_rows(reflex.level, kept, new), slipping)
     return changed, dataclasses.replace(
         memory,
         R_OC=contacts.R_OC,
@@ -75,7 +70,7 @@ def _with_contacts(
         spin=None if memory.spin is None else _rows(memory.spin, kept, new),
         f=f,
         tip_contacts=None,
-        reflex=reflex,
+        reflex=None if memory.reflex is None else memory.reflex.for_contacts(kept, new),
         ramp=None,
     )
 

@@ -5,8 +5,9 @@ Each period, the estimator gives joint positions, joint rates and the object's p
 and accelerations of the command are those of the law; its accelerations are inputs of the estimator in the next period.
 
 A monitor may run beside the estimator. It estimates contact forces, slip, friction and payload. Fingers that it finds slipping
-press harder from the same period on (`slip_reflex`). Those whose slip is evident from the motion do not determine the motion of
-the object along their surface.
+press harder from the same period on (`slip_reflex`). With fingertip forces, all fingers press a little harder for a short time
+as soon as forces or motion surely differ from the commanded ones (precaution). Those whose slip is evident from the motion do
+not determine the motion of the object along their surface.
 A finger that has slipped is planned with the friction that this shows, if it is less than that of the contact.
 
 When contacts let go or join, estimator and monitor continue with the contacts that are left, from the estimated pose. A finger
@@ -223,14 +224,15 @@ class OutputFeedbackLaw:
         """
         is_touching = max(gap.tolist()) <= self.settings.contact_tolerance
         is_bounded = any(map(operator.lt, monitored.friction.upper.tolist(), self._mu.tolist()))
-        if known is _AS_MODELLED and is_touching and not is_bounded and True not in monitored.slip.slipping.tolist():
+        due, is_slipping = monitored.is_precaution_due, True in monitored.slip.slipping.tolist()
+        if known is _AS_MODELLED and is_touching and not (is_bounded or is_slipping or due):
             return self._calm
         friction = np.minimum(self._mu, monitored.friction.upper)
         touching = gap <= self.settings.contact_tolerance
         if not touching.all():
             deviation = np.sqrt(np.diag(monitored.forces.covariance)[2::3])  # N
             touching = touching | (monitored.forces.f[:, 2] > _CERTAIN * deviation)
-        return known.completed(monitored.slip.slipping, friction if (friction < self._mu).any() else None, touching)
+        return known.completed(monitored.slip.slipping, friction if (friction < self._mu).any() else None, touching, due)
 
 
 def _with_least_noise(sensors: SensorModel) -> SensorModel:

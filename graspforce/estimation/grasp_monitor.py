@@ -32,12 +32,14 @@ from graspforce.estimation.sensor_model import CameraModel, SensorModel
 from graspforce.estimation.settings import EstimatorSettings
 from graspforce.estimation.slip.compiled_detector import make_detector
 from graspforce.estimation.slip.detector import SlipEstimate, SlipInputs, pose_difference, pose_error
+from graspforce.estimation.slip.precaution import PrecautionMemory, PrecautionTest
 from graspforce.estimation.slip.slip_memory import SlipBlocks, SlipMemory
 from graspforce.estimation.slip.slip_settings import SlipSettings
 from graspforce.grasp.grasp import Grasp
 
 _AGREEMENT = 5.0  # standard deviations up to which two poses agree
 _PAYLOAD_STEPS = 8  # periods between two updates of the payload, with the mean forces
+_LEAST_ENCODER_NOISE = 1e-6  # rad; a noise of zero would make tests singular
 _ALWAYS = 10**9  # updates after which the gains of the joint filter are constant
 
 
@@ -86,6 +88,7 @@ class GraspMonitorMemory(NamedTuple):
         payload: of the estimator of the payload.
         recent: contact forces since the last update of the payload.
         rejected: (6,) error of the last pose if the estimator rejected it, m and rad; None if it did not.
+        precaution: of the test for precautions; None before the first period with fingertip forces.
     """
 
     forces: ForceMemory
@@ -94,6 +97,7 @@ class GraspMonitorMemory(NamedTuple):
     payload: PayloadMemory
     recent: tuple[ContactForces, ...] = ()
     rejected: Array | None = None
+    precaution: PrecautionMemory | None = None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -105,12 +109,15 @@ class GraspMonitorEstimate:
         slip: slip by finger.
         friction: friction coefficients by finger, with bounds.
         payload: mass, centre of mass and external wrench of the object.
+        is_precaution_due: whether forces or motion surely differ from the commanded ones, so that a short squeeze is due. False
+            without fingertip forces.
     """
 
     forces: ContactForces
     slip: SlipEstimate
     friction: ContactFrictionEstimate
     payload: PayloadEstimate
+    is_precaution_due: bool = False
 
     def to_dict(self) -> JsonRecord:
         """Return the record: `force` (N × 3, in the contact frames), `slipping`, `friction` and `payload`."""
@@ -161,6 +168,9 @@ class GraspMonitor:
             errors, measured = of_currents.added_to(errors), replace(sensors, torque_noise=of_currents.noise)
         self._forces = make_force_estimator(grasp, measured, self._gravity_H, errors, disturbance_error)
         self._slip = make_detector(len(grasp.contacts), grasp.body.shape, sensors, period, settings.slip)
+        encoder_variance = max(sensors.encoder_noise**2 + sensors.encoder_resolution**2 / 12.0, _LEAST_ENCODER_NOISE**2)
+        interval = settings.slip.precaution_interval
+        self._precaution = PrecautionTest(len(grasp.contacts), encoder_variance, period, interval)
         self._friction = make_friction_estimator(grasp, period, settings.friction, self._forces.measured_variance)
         self._payload = make_payload_estimator(grasp.body, _PAYLOAD_STEPS * period, settings.payload)
 
@@ -207,14 +217,17 @@ class GraspMonitor:
             memory.friction.estimate.expected,
         )
         slip, slip_memory = self._slip.step(memory.slip or self._slip.initial_memory(contacts), inputs)
+        is_due, precaution = False, memory.precaution
+        if forces.mismatch is not None:
+            is_due, precaution = self._precaution.step(precaution, slip_memory, contacts, applied.motion)
         friction, friction_memory = self._friction.step(memory.friction, forces, slip)
         payload, recent = memory.payload, (*memory.recent, forces)
         if len(recent) >= _PAYLOAD_STEPS:
             force_sum, motion = np.sum([each.f for each in recent], axis=0), (applied.motion, self._gravity_H)
             payload, recent = self._payload.update(payload, contacts, forces, (force_sum, len(recent)), motion), ()
         return (
-            GraspMonitorEstimate(forces, slip, friction, payload.estimate),
-            GraspMonitorMemory(force_memory, slip_memory, friction_memory, payload, recent, rejected),
+            GraspMonitorEstimate(forces, slip, friction, payload.estimate, is_due),
+            GraspMonitorMemory(force_memory, slip_memory, friction_memory, payload, recent, rejected, precaution),
         )
 
     def _measured_torque(self, measurement: Measurement, v: Array, commanded: Array) -> Array:

@@ -101,8 +101,21 @@ def test_slip_detection_reports_before_the_first_slip(benchmark):
 
 def test_slip_detection_reports_slips_without_an_alarm(benchmark):
     module = benchmark("slip_detection")
-    missed = {name: {"first": None, "right": None} for name in module.SENSORS}
+    nothing = {"first": None, "reaction": None, "right": None, "precautions": 0, "early": 0}
+    missed = dict.fromkeys(module.SENSORS, nothing)
     for row in module.slip_rows([{"counts": 500, "calm": False, "alarms": missed}]):
         if row.requirement.startswith("≥"):
             assert row.measured == "0.0 %"
             assert not row.is_met
+
+
+def test_slip_detection_counts_a_precaution_as_reaction_and_not_as_alarm(benchmark):
+    module = benchmark("slip_detection")
+    late = {"first": 512, "reaction": 512, "right": True, "precautions": 0, "early": 0}
+    asked = {**late, "reaction": 495, "precautions": 30}
+    alarms = {name: asked if name == module.WITH_FORCES else late for name in module.SENSORS}
+    rows = {row.label: row for row in module.slip_rows([{"counts": 500, "calm": False, "kind": "friction", "alarms": alarms}])}
+    reaction, alone = (rows[f"{module.WITH_FORCES}: {event} within 5 ms"] for event in ("reaction", "alarm alone"))
+    assert reaction.is_met
+    assert reaction.measured.startswith("100.0 %; median -5 ms")
+    assert alone.measured.startswith("0.0 %; median 12 ms")

@@ -30,6 +30,8 @@ class ContactConditions:
             of the contacts.
         lost: names of the fingers whose drives are off: they apply no planned force.
         touching: (N,) whether a contact touches. Warnings of lost contacts then come from here; None: they come from the gap.
+        is_precaution_due: whether all contacts are squeezed a little for a short time; see `slip_reflex`. The monitor of an
+            `OutputFeedbackController` decides it; records do not contain it.
 
     Raises:
         InvalidInput: not booleans, a negative friction, or different numbers of contacts.
@@ -39,6 +41,7 @@ class ContactConditions:
     friction: Array | None = None
     lost: tuple[str, ...] = ()
     touching: Mask | None = None
+    is_precaution_due: bool = False
 
     if TYPE_CHECKING:  # the constructor accepts more types than the fields have
 
@@ -48,6 +51,7 @@ class ContactConditions:
             friction: npt.ArrayLike | None = None,
             lost: Sequence[str] = (),
             touching: Sequence[bool] | Mask | None = None,
+            is_precaution_due: bool = False,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -105,6 +109,7 @@ class ContactConditions:
             friction=None if friction is None else np.where(is_given, friction[found], grasp.contacts.mu),
             lost=tuple(name for name in self.lost if name in grasp.fingers),
             touching=None if touching is None else np.where(is_given, touching[found], True),
+            is_precaution_due=self.is_precaution_due,
         )
 
     @property
@@ -118,15 +123,19 @@ class ContactConditions:
     def affects_forces(self) -> bool:
         """Whether the contact forces are planned otherwise than as modelled."""
         slipping = self.slipping
-        return bool(self.lost) or self.friction is not None or (slipping is not None and True in slipping.tolist())
+        is_slipping = slipping is not None and True in slipping.tolist()
+        return bool(self.lost) or self.friction is not None or is_slipping or self.is_precaution_due
 
-    def completed(self, slipping: Mask, friction: Array | None, touching: Mask) -> ContactConditions:
+    def completed(
+        self, slipping: Mask, friction: Array | None, touching: Mask, is_precaution_due: bool = False
+    ) -> ContactConditions:
         """Return conditions with estimates of slip, friction and contact where they have none. Nothing is checked.
 
         Args:
             slipping: (N,) whether a contact slips.
             friction: (N,) lower bounds of the friction coefficients; None for those of the contacts.
             touching: (N,) whether a contact touches.
+            is_precaution_due: whether a precaution is due.
         """
         return make_unchecked(
             ContactConditions,
@@ -134,6 +143,7 @@ class ContactConditions:
             friction=friction if self.friction is None else self.friction,
             lost=self.lost,
             touching=touching if self.touching is None else self.touching,
+            is_precaution_due=is_precaution_due or self.is_precaution_due,
         )
 
     def to_dict(self) -> JsonRecord:

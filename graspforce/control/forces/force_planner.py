@@ -39,6 +39,7 @@ class ContactPlan(NamedTuple):
         lost: contacts and motors of fingers whose drives are off; None if all are on.
         ramp: limits of the forces of contacts that change; None if none changes.
         margin: slip margin of the step, N, after a change of contacts; None for that of the settings.
+        without_precaution: the plan without precaution, for a step whose limits leave no room for it; None without precaution.
     """
 
     friction: Array | None
@@ -46,6 +47,7 @@ class ContactPlan(NamedTuple):
     lost: LostDrives | None
     ramp: ForceRamp | None = None
     margin: float | None = None
+    without_precaution: ContactPlan | None = None
 
 
 _MARGIN_RATE = 2.0  # N/s
@@ -104,10 +106,25 @@ class ForcePlanner:
             mu = np.where(modelled.mu > 0.0, conditions.friction, 0.0)
             gamma = np.divide(modelled.gamma * mu, modelled.mu, out=np.zeros(len(mu)), where=modelled.mu > 0.0)  # m
             friction = np.array(tilted_friction(mu, gamma, np.array([self._settings.contact_error])))
-        reflex = self._reflex.step(memory.reflex, conditions.slipping, friction[0], memory.f)
+        due = conditions.is_precaution_due
+        reflex = self._reflex.step(memory.reflex, conditions.slipping, friction[0], memory.f, due)
+        rest, lost = (ramp, margin), self._find_lost(conditions.lost)
+        if reflex is None or reflex.precaution is None:
+            return self._make_plan(friction, reflex, lost, *rest)
+        without = self._make_plan(friction, reflex.without_precaution, lost, *rest)
+        return ContactPlan(friction / (1.0 + reflex.squeeze), reflex, lost, *rest, without)
+
+    def _make_plan(
+        self,
+        friction: Array,
+        reflex: ReflexMemory | None,
+        lost: LostDrives | None,
+        ramp: ForceRamp | None,
+        margin: float | None,
+    ) -> ContactPlan:
+        """Return the plan of a step without precaution, from its friction (2, N) without the reflex."""
         if reflex is not None:
             friction = friction / (1.0 + reflex.level)
-        lost = self._find_lost(conditions.lost)
         return ContactPlan(None if friction is self._solver.least else friction, reflex, lost, ramp, margin)
 
     def solve(
@@ -127,6 +144,9 @@ class ForcePlanner:
             The plan, with a smaller step of its ramp if forces or margin would change too fast otherwise; and the forces.
         """
         forces = self._solve(plan, targets, tau_u)
+        if plan.without_precaution is not None and (forces.f is None or forces.warning):
+            plan = plan.without_precaution
+            forces = self._solve(plan, targets, tau_u)
         if memory.f is None or forces.f is None:
             return plan, forces
         if plan.ramp is None or memory.ramp is None:

@@ -53,15 +53,16 @@ static void gf_measure_slip(const gf_slip_settings *settings, const gf_contact_p
     memcpy(next->slip, slip, (size_t)(2 * N) * sizeof(double));
 }
 
-/* Compute the residuals y (3 N), m. */
+/* Compute the residuals y (3 N), m, and those for the estimated pose. */
 static void gf_slip_residuals(const gf_slip_settings *settings, const gf_contact_pose *pose, const gf_slip_inputs *inputs,
-                              const double *slip, double *y)
+                              const double *slip, double *y, const gf_slip_state *next)
 {
     const int n = settings->motor_count;
     for (int row = 0; row < 3 * settings->contact_count; row++) {
         const int i = row / 3, k = row % 3;
         y[row] = gf_inner(n, pose->contacts.A + n * row, inputs->joint_error);
         y[row] += k < 2 ? slip[2 * i + k] : -pose->contacts.gap[i];
+        next->residual[row] = y[row];
         if (inputs->pose_error != NULL) y[row] -= gf_inner(TWIST, pose->contacts.B + TWIST * row, inputs->pose_error);
     }
 }
@@ -168,8 +169,9 @@ static double gf_force_statistic(const gf_slip_settings *settings, const gf_slip
         const double value = gf_normalised_square(N, inputs->gains->mismatch_noise, work) / (c[k] + c[2]);
         statistic = k == 0 || value > statistic || isnan(value) ? value : statistic;
     }
+    const double past = fmax(next->level[0], 1.0);
     next->level[0] += fmax(settings->level_gain[0], start) * (statistic / rows - next->level[0]);
-    return statistic / fmax(next->level[0], 1.0);
+    return statistic / past;
 }
 
 /* Find the contacts whose mean force is at its friction limit. Return whether there is one. */
@@ -216,7 +218,7 @@ int gf_slip_step(const gf_slip_settings *settings, const gf_contact_pose *pose, 
     int bits = 0;
     gf_copy_state(settings, last, next);
     gf_measure_slip(settings, pose, last, slip, next);
-    gf_slip_residuals(settings, pose, inputs, slip, y);
+    gf_slip_residuals(settings, pose, inputs, slip, y, next);
     const int is_tested = kind == GF_POSE_TEST || last->test_updates[GF_POSE_TEST] == 0.0 ||
                           inputs->t - last->test_t[GF_POSE_TEST] > FRESH_POSE_TIME;
     if (is_tested) {
@@ -225,8 +227,10 @@ int gf_slip_step(const gf_slip_settings *settings, const gf_contact_pose *pose, 
         bits |= GF_SLIP_HAS_RESIDUALS + GF_SLIP_NEW_TEST * renewed;
     }
     memset(next->at_limit, 0, (size_t)N * sizeof(double));
+    next->force_statistic[0] = 0.0;
     if (inputs->forces != NULL) {
-        if (gf_force_statistic(settings, inputs, rest, next) > settings->force_threshold[0])
+        next->force_statistic[0] = gf_force_statistic(settings, inputs, rest, next);
+        if (next->force_statistic[0] > settings->force_threshold[0])
             next->alert_until[0] = inputs->t + settings->alert_time[0];
         if (inputs->mu != NULL && gf_find_limits(settings, inputs, next)) bits |= GF_SLIP_AT_LIMIT;
     }

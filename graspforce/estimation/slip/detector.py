@@ -181,6 +181,8 @@ class SlipDetector:
             never,
             nothing,
             False,
+            freeze(np.zeros(3 * self._count)),
+            0.0,
         )
 
     def step(self, memory: SlipMemory | SlipBlocks, inputs: SlipInputs) -> tuple[SlipEstimate, SlipMemory | SlipBlocks]:
@@ -203,6 +205,7 @@ class SlipDetector:
         by_contact = y.reshape(-1, 4)
         by_contact[:, :2] += slip
         by_contact[:, 2] -= contacts.gap
+        residual = by_contact[:, :3].ravel()
         contact_test, pose_test, test = memory.contact_test, memory.pose_test, None
         if inputs.pose_error is not None:
             y -= contacts.B.dot(inputs.pose_error)
@@ -210,7 +213,7 @@ class SlipDetector:
         elif pose_test is None or t - pose_test.t > _FRESH_POSE_TIME:
             test = contact_test = self._updated(contact_test, t, y, contacts, has_pose=False)
 
-        forces, alert_until, at_limit = memory.forces, memory.alert_until, self._no_flags
+        forces, alert_until, at_limit, statistic = memory.forces, memory.alert_until, self._no_flags, 0.0
         if inputs.forces is not None and inputs.forces.mismatch is not None:
             statistic, forces = self._evidence.step(forces, inputs.forces)
             if statistic > self._force_threshold:
@@ -220,7 +223,7 @@ class SlipDetector:
                 at_limit = np.array(flags) if True in flags else at_limit
         memory = SlipMemory(
             anchor, R_OC, anchor_slip, anchor_age, contact_test, pose_test, forces, alert_until,
-            memory.last_alarm, memory.alarm, memory.evident, memory.distance, memory.is_certain,
+            memory.last_alarm, memory.alarm, memory.evident, memory.distance, memory.is_certain, residual, statistic,
         )  # fmt: skip
         return self._judged(memory, t, at_limit, test)
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from graspforce.contact.kinematics import TipContactState
 from graspforce.core.arrays import Array
 from graspforce.core.compiled import Block
@@ -46,6 +48,8 @@ class SlipMemory(NamedTuple):
         evident: (N,) time of the last evident slip of each finger, s.
         distance: (N, 2) slip at that alarm, m.
         is_certain: whether the fingers of the last alarm are certain.
+        residual: (3 N,) slip and gap of each finger for the estimated pose and the measured joint positions, m.
+        force_statistic: statistic of unexpected forces, over its mean in the past; zero without forces.
     """
 
     anchor: TipContactState
@@ -61,6 +65,13 @@ class SlipMemory(NamedTuple):
     evident: Array
     distance: Array
     is_certain: bool
+    residual: Array
+    force_statistic: float
+
+    @property
+    def force_level(self) -> float:
+        """Mean of the force statistic, relative to that of noise; 1 before the first forces."""
+        return 1.0 if self.forces is None else self.forces.level
 
 
 class SlipBlocks(NamedTuple):
@@ -81,3 +92,18 @@ class SlipBlocks(NamedTuple):
     last_alarm: float
     distance: Array
     is_certain: bool
+
+    @property
+    def residual(self) -> Array:
+        """(3 N,) slip and gap of each finger for the estimated pose and the measured joint positions, m."""
+        return np.asarray(self.state["residual"])
+
+    @property
+    def force_statistic(self) -> float:
+        """Statistic of unexpected forces, over its mean in the past; zero without forces."""
+        return float(self.state["force_statistic"][0])
+
+    @property
+    def force_level(self) -> float:
+        """Mean of the force statistic, relative to that of noise; 0 before the first forces."""
+        return float(self.state["level"][0])

@@ -22,6 +22,7 @@ class SlipSettings(SettingsRecord):
         baseline: length of the mean that they are compared with, s. Slip slower than about 0.3 mm in this time is not found.
         false_alarm_interval: time between two false alarms from motion, s, at least.
         alert_interval: the same while forces are unexpected, s.
+        precaution_interval: time between two precautions without cause, s, at least; see `precaution`.
         compliance: standard deviation of the changes of a gap from deformation of the contact, m.
         tangential_compliance: the same along the tangents, m.
         rolling_error: standard deviation of the error of a contact's path, relative to its length, such as from the fingertip's
@@ -41,6 +42,7 @@ class SlipSettings(SettingsRecord):
     baseline: float = 1.0
     false_alarm_interval: float = 7200.0
     alert_interval: float = 0.1
+    precaution_interval: float = 3.6e5
     compliance: float = 3e-5
     tangential_compliance: float = 1e-5
     rolling_error: float = 0.02
@@ -54,7 +56,7 @@ class SlipSettings(SettingsRecord):
         if len(windows) == 0 or (np.diff(windows) <= 0.0).any():
             raise InvalidInput("windows", self.windows, "at least one length, ascending")
         set_fields(self, windows=tuple(windows.tolist()))
-        for name in ("baseline", "false_alarm_interval", "alert_interval", "hold_time"):
+        for name in ("baseline", "false_alarm_interval", "alert_interval", "precaution_interval", "hold_time"):
             set_fields(self, **{name: arrays.check_number(getattr(self, name), name, above=0.0)})
         for name in (
             "compliance",

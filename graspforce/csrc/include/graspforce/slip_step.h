@@ -112,6 +112,8 @@ enum { GF_CONTACT_TEST = 0, GF_POSE_TEST = 1, GF_SLIP_TESTS = 2 };
  * level            mean of the force statistic, relative to that of noise
  * alert_until      time until which forces count as unexpected, s
  * alarm, evident   times of the last alarm, and of the last evident slip of each finger, s
+ * residual         result: slip and gap of each finger for the estimated pose and the measured joint positions, m
+ * force_statistic  result: statistic of unexpected forces, over its mean in the past; zero without forces
  * at_limit         result: whether a contact force is at its friction limit
  * statistics       result: statistics by window, and by finger in each; zero without residuals */
 #define GF_SLIP_STATE_FIELDS(FIELD)                       \
@@ -134,6 +136,8 @@ enum { GF_CONTACT_TEST = 0, GF_POSE_TEST = 1, GF_SLIP_TESTS = 2 };
     FIELD(alert_until, 1)                                 \
     FIELD(alarm, contact_count)                           \
     FIELD(evident, contact_count)                         \
+    FIELD(residual, 3 * contact_count)                    \
+    FIELD(force_statistic, 1)                             \
     FIELD(at_limit, contact_count)                        \
     FIELD(statistics, contact_count *window_count)
 
