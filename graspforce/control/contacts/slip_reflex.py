@@ -18,8 +18,9 @@ last step would need the friction ρ₀ = min(ρ (1 + max(L, P)), μ). The preca
 - rises to (1 + g/2) μ/ρ₀ − 1 at the first step of a request, unless it is larger: normal forces rise by g/2 at most;
 - stays while the request lasts, and decays as exp(−t/50 ms) afterwards.
 
-Precaution does not add to the reflex: a slip that follows squeezes no more than without it. Where the limits of motors or
-contacts leave no room for certified forces with the whole slip margin, `ForcePlanner` plans the step without precaution.
+Precaution does not add to the reflex: a slip that follows has the level that it would have without, which is at least
+(1 + g) (1 + P)/(1 + g/2) − 1. Where the limits of motors or contacts leave no room for certified forces with the whole slip
+margin, `ForcePlanner` plans the step without precaution.
 """
 
 from __future__ import annotations
@@ -154,6 +155,8 @@ class SlipReflex:
         if memory.precaution is not None:  # without it, the forces of the last step would need more friction
             required = np.minimum(required * (1.0 + memory.squeeze) / (1.0 + memory.level), mu)
         at_first = np.maximum(memory.level, self._squeeze * mu / np.maximum(required, _TINY) - 1.0)
+        if memory.precaution is not None:  # contacts that used less than all of their friction when it began
+            at_first = np.maximum(at_first, self._squeeze / self._precaution * (1.0 + memory.precaution) - 1.0)
         growing = (1.0 + memory.level) * self._growth - 1.0
         level = np.where(slipping, np.where(first, at_first, growing), self._decay * memory.level)
         level = _bounded(level, mu)

@@ -89,8 +89,8 @@ def test_repeated_requests_do_not_add_up() -> None:
         assert (steps.memory.reflex.precaution <= first * (1.0 + 1e-3)).all()  # forces between two requests are rounded
 
 
-def test_slip_squeezes_no_more_after_a_precaution_than_without() -> None:
-    """Contacts that use all of their friction get the level of the reflex alone; all levels are at least g."""
+def test_slip_squeezes_as_much_after_a_precaution_as_without() -> None:
+    """Contacts that use all of their friction, and others, get the level of the reflex alone."""
     grasp = named_grasp("four_finger box")
     slipping = ContactConditions([True] * 4)
     plain, careful = (Steps(grasp, settings_with(reflex_squeeze=SQUEEZE)) for _ in range(2))
@@ -98,10 +98,8 @@ def test_slip_squeezes_no_more_after_a_precaution_than_without() -> None:
     careful.next()
     careful.next(DUE)
     expected, found = plain.next(slipping), careful.next(slipping)
-    level, alone = careful.memory.reflex.level, plain.memory.reflex.level
-    assert ((level >= SQUEEZE - SOLVER) & (level <= alone + SOLVER)).all()
-    assert np.count_nonzero(np.abs(level - alone) < SOLVER) >= 3
-    assert careful.normals(found).sum() <= plain.normals(expected).sum() * (1.0 + SOLVER)
+    np.testing.assert_allclose(careful.memory.reflex.level, plain.memory.reflex.level, rtol=1e-4)
+    np.testing.assert_allclose(found.f, expected.f, atol=1e-4)
 
 
 def test_precaution_does_not_exceed_torque_limits() -> None:
