@@ -25,6 +25,8 @@ from graspforce.core.arrays import Array
 from graspforce.core.compiled import native
 from graspforce.grasp.grasp import Grasp
 
+_LEAST_ENERGY = 1e-20  # J, twice the kinetic energy of a plan at rest
+
 
 class GraspFriction:
     """Compensation of joint friction for one grasp, without memory of its own.
@@ -42,12 +44,13 @@ class GraspFriction:
         self._compensation = FrictionCompensation(grasp.hand, friction, settings.period)
         self._constraints, self._rest = constraints, np.zeros(grasp.hand.n)
         self._kp, self._kd, _ = settings.gains.rows()
+        self._mass = grasp.body.mass_matrix()
         self._damping, self._tolerance = settings.rank_tolerance**2, friction.rest_tolerance
         self._rest_steps = round(friction.rest_time / settings.period)
         self._compliance = ObjectCompliance(MassFactor.from_body(grasp.body).mobility, constraints.spin_compliance)
         self._compiled: CompiledFriction | None = None
         if native is not None and constraints.spin_compliance == 0.0:
-            self._compiled = CompiledFriction(self._compensation, self._kp, self._kd, self._damping)
+            self._compiled = CompiledFriction(self._compensation, self._kp, self._kd, self._mass, self._damping)
 
     def compensate(
         self, memory: FrictionMemory | None, state: GraspState, targets: StepTargets, desired: DesiredMotion
@@ -80,6 +83,9 @@ class GraspFriction:
     def plan_rates(self, A: Array, B: Array, body: BodyMotion, measured: BodyMotion, error: Array, v_d: Array) -> PlannedRates:
         """Return planned rates and feedback of the joints.
 
+        The part of a feedback a that acts along the desired twist V_d is V_d (V_dᵀ M a)/(V_dᵀ M V_d), with the object's mass
+        matrix M.
+
         Args:
             A: (r, n) contact velocities per joint rate.
             B: (r, 6) contact velocities per twist of the object, in O.
@@ -90,15 +96,17 @@ class GraspFriction:
         """
         feedback_H = self._kd * (body.twist - measured.twist) + self._kp * error  # m/s² and rad/s²
         twists = (np.array([body.twist, feedback_H]).reshape(4, 3) @ measured.R_HO).reshape(2, 6)  # in O
-        wanted = B @ twists.T
+        energy = twists[0] @ self._mass @ twists[0]  # J, twice the kinetic energy
+        part = twists[0] @ self._mass @ twists[1] / energy if energy > _LEAST_ENERGY else 0.0  # 1/s
+        wanted = B @ np.vstack([twists, part * twists[0]]).T
         wanted[:, 0] -= A @ v_d
         K = A @ A.T
         if self._compliance.largest > 0.0:  # the object yields to its pads, see `contacts.mobility`
             yielding = self._compliance.at(A) * (B @ self._compliance.mobility)
             K += yielding @ yielding.T
         K.flat[:: len(K) + 1] += self._damping * K.trace() / len(K)  # singular contacts get no rate instead of a large one
-        v, feedback = np.linalg.solve(K, wanted).T @ A
-        return PlannedRates(v_d + v, feedback)
+        v, feedback, along = np.linalg.solve(K, wanted).T @ A
+        return PlannedRates(v_d + v, feedback, along)
 
     def hold_integral(
         self, memory: FrictionMemory, error: Array, integral: Array, next_integral: Array, is_at_rest: bool

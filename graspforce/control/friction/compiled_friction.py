@@ -16,10 +16,11 @@ class CompiledFriction:
     Args:
         compensation: the compensation of the hand.
         kp, kd: (6,) gains on the pose error, 1/s² and 1/s.
+        mass: (6, 6) mass matrix of the object about O, in O.
         damping: of A Aᵀ, relative to its mean eigenvalue.
     """
 
-    def __init__(self, compensation: FrictionCompensation, kp: Array, kd: Array, damping: float) -> None:
+    def __init__(self, compensation: FrictionCompensation, kp: Array, kd: Array, mass: Array, damping: float) -> None:
         model, observer, settings = compensation.model, compensation.observer, compensation.settings
         block = np.zeros((), np.dtype(native.friction_layout(model.n)))
         values = {
@@ -31,6 +32,7 @@ class CompiledFriction:
             "rate_forgetting": observer.rate_forgetting,
             "kp": kp,
             "kd": kd,
+            "mass": mass.ravel(),
             "inertia": compensation.inertia,
             "share": observer.share,
             "largest": observer.largest,

@@ -43,14 +43,15 @@ class ObserverTimes:
 class FrictionObserver:
     """Observer of the Coulomb friction of n joints. It has no memory of its own.
 
-    With the planned direction φ = tanh(v/ε) in place of the sign of the planned rates v, and the feedback torque u of the
-    joints, the levels c follow
+    With the planned direction φ = tanh(v/ε) in place of the sign of the planned rates v, the feedback torque u of the joints,
+    and its part u_p along the object's planned motion, the levels c follow
 
-        ċ = φ u/T_joint + r Σ(r φ u)/(n T_common) − |φ| (c − r c̄)/T_forgetting,    0 ≤ c ≤ c_max,
+        ċ = φ u/T_joint + r Σ(r φ u_p)/(n T_common) − |φ| (c − r c̄)/T_forgetting,    0 ≤ c ≤ c_max,
 
     where r is the expected share of each joint and c̄ the common level. Too little compensation leaves a tracking error along
     the motion, whose feedback torque raises the level. Near the planned motion the first two terms lower the Lyapunov function
-    of adaptive control.
+    of adaptive control. The common level is fast. Hence it does not follow errors across the motion, such as an orientation
+    that static friction holds: they would raise it in one direction of the motion and lower it in the other.
 
     Source: Slotine and Li (1987), section 3, with the regressor of Coulomb friction along the planned motion.
 
@@ -71,18 +72,20 @@ class FrictionObserver:
             period / each for each in (times.common, times.joint, times.forgetting)
         )
 
-    def step(self, level: Array, direction: Array, feedback_torque: Array) -> Array:
+    def step(self, level: Array, direction: Array, feedback_torque: Array, along: Array | None = None) -> Array:
         """Return the levels for the next step.
 
         Args:
             level: (n,) present Coulomb levels, N·m.
             direction: (n,) φ, planned direction of the joints, −1 to 1.
             feedback_torque: (n,) u, feedback torque of the joints that move the object, zero for the others, N·m.
+            along: (n,) u_p, its part along the object's planned motion, N·m. Default: all of it.
         """
         drive = direction * feedback_torque  # N·m, positive if the joints lag
+        common_drive = drive if along is None else direction * along  # N·m
         active = max(int(np.count_nonzero(feedback_torque)), 1)
         mean = float(level @ self.share) / float(self.share @ self.share)  # N·m
-        change = self.rate_joint * drive + self.share * (self.rate_common * float(self.share @ drive) / active)
+        change = self.rate_joint * drive + self.share * (self.rate_common * float(self.share @ common_drive) / active)
         change -= self.rate_forgetting * np.abs(direction) * (level - self.share * mean)
         return freeze(np.minimum(np.maximum(level + change, 0.0), self.largest))
 

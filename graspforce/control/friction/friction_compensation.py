@@ -165,10 +165,12 @@ class PlannedRates(NamedTuple):
     Attributes:
         v: (n,) planned joint rates, rad/s.
         feedback: (n,) joint accelerations of the feedback on the object's pose, rad/s²; zero for joints that do not move it.
+        along: (n,) those of the part of the feedback that acts along the object's planned motion, rad/s². None: all of it.
     """
 
     v: Array
     feedback: Array
+    along: Array | None = None
 
 
 class FrictionCompensation:
@@ -220,7 +222,8 @@ class FrictionCompensation:
         direction = np.tanh(v / self.settings.smoothing_rate)
         level = memory.level
         if self.settings.observe:
-            level = self.observer.step(level, direction, self.inertia * planned.feedback)
+            along = None if planned.along is None else self.inertia * planned.along
+            level = self.observer.step(level, direction, self.inertia * planned.feedback, along)
         excess = model.stribeck * np.exp(-np.square(v / model.stribeck_velocity))  # N·m
         return (level + excess) * direction + model.viscous * v, FrictionMemory(level, memory.rest)
 

@@ -3,12 +3,13 @@
 
 #include "graspforce/friction_step.h"
 
-enum { GF_SIDES = 2 }; /* right-hand sides: planned rates and feedback */
+enum { GF_SIDES = 3, GF_TORQUES = 2 }; /* right-hand sides: planned rates, feedback, and feedback along the plan */
+static const double LEAST_ENERGY = 1e-20; /* J, twice the kinetic energy of an object at rest */
 
 size_t gf_friction_work_size(const gf_friction *friction, int rows)
 {
     const size_t r = (size_t)rows;
-    return r * r + GF_SIDES * r + (size_t)friction->motor_count;
+    return r * r + GF_SIDES * r + GF_TORQUES * (size_t)friction->motor_count;
 }
 
 /* Factor a symmetric K = L Lᵀ, (r, r), in place. Return 0 if it is not positive definite. */
@@ -52,18 +53,32 @@ static void gf_rotate_to_object(const double *R_HO, const double *twist, double 
         }
 }
 
-/* Compute planned rates v and feedback accelerations (motor_count) of the joints. Return 0 if a number is not finite. */
+/* Return xᵀ M y with the object's mass matrix. */
+static double gf_mass_product(const double *mass, const double *x, const double *y)
+{
+    double sum = 0.0;
+    for (int i = 0; i < 6; i++)
+        for (int k = 0; k < 6; k++) sum += x[i] * mass[6 * i + k] * y[k];
+    return sum;
+}
+
+/* Compute planned rates v (motor_count), feedback accelerations (motor_count) and those along the plan (motor_count) of the
+ * joints. Return 0 if a number is not finite. */
 static int gf_plan_rates(const gf_friction *friction, const gf_constraints *constraints, const gf_friction_inputs *inputs,
                          double *work, double *v, double *feedback)
 {
     const int r = constraints->rows, n = friction->motor_count;
     const double *A = constraints->A, *B = constraints->B;
-    double *K = work, *sides[GF_SIDES] = {work + r * r, work + r * r + r}, *rates[GF_SIDES] = {v, feedback};
+    double *K = work, *sides[GF_SIDES], *rates[GF_SIDES] = {v, feedback, feedback + n};
     double feedback_H[6], twists[GF_SIDES][6], trace = 0.0;
     for (int k = 0; k < 6; k++)
         feedback_H[k] = friction->kd[k] * (inputs->twist_d[k] - inputs->twist[k]) + friction->kp[k] * inputs->error[k];
     gf_rotate_to_object(inputs->R_HO, inputs->twist_d, twists[0]);
     gf_rotate_to_object(inputs->R_HO, feedback_H, twists[1]);
+    const double energy = gf_mass_product(friction->mass, twists[0], twists[0]);
+    const double part = energy > LEAST_ENERGY ? gf_mass_product(friction->mass, twists[0], twists[1]) / energy : 0.0; /* 1/s */
+    for (int k = 0; k < 6; k++) twists[2][k] = part * twists[0][k];
+    for (int side = 0; side < GF_SIDES; side++) sides[side] = work + r * r + side * r;
     for (int i = 0; i < r; i++) {
         const double *row = A + i * n;
         for (int side = 0; side < GF_SIDES; side++) {
@@ -81,7 +96,7 @@ static int gf_plan_rates(const gf_friction *friction, const gf_constraints *cons
     }
     for (int i = 0; i < r; i++) K[i * r + i] += friction->damping[0] * trace / r;
     if (!gf_factor(r, K)) return 0;
-    for (int k = 0; k < n; k++) v[k] = inputs->v_d == NULL ? 0.0 : inputs->v_d[k], feedback[k] = 0.0;
+    for (int k = 0; k < n; k++) v[k] = inputs->v_d == NULL ? 0.0 : inputs->v_d[k], feedback[k] = feedback[n + k] = 0.0;
     for (int side = 0; side < GF_SIDES; side++) {
         gf_solve_factored(r, K, sides[side]);
         for (int i = 0; i < r; i++)
@@ -90,7 +105,8 @@ static int gf_plan_rates(const gf_friction *friction, const gf_constraints *cons
     return 1;
 }
 
-/* Write the levels after a step. `direction` is tanh(v/ε), and `torque` the feedback torques of the joints. */
+/* Write the levels after a step. `direction` is tanh(v/ε), and `torque` the feedback torques of the joints, then
+ * those along the plan. */
 static void gf_observe_friction(const gf_friction *friction, const double *direction, const double *torque, const double *level,
                                 double *next)
 {
@@ -101,7 +117,7 @@ static void gf_observe_friction(const gf_friction *friction, const double *direc
     for (int k = 0; k < n; k++) {
         along += level[k] * share[k];
         square += share[k] * share[k];
-        drive += share[k] * direction[k] * torque[k];
+        drive += share[k] * direction[k] * torque[n + k];
         active += torque[k] != 0.0;
     }
     const double mean = along / square, common = friction->rate_common[0] * drive / (active > 0 ? active : 1);
@@ -120,10 +136,10 @@ int gf_friction_step(const gf_friction *friction, const gf_constraints *constrai
     if (!gf_plan_rates(friction, constraints, inputs, work, v, torque)) return GF_FRICTION_FAILED;
     for (int k = 0; k < n; k++) {
         direction[k] = tanh(v[k] / friction->smoothing_rate[0]);
-        torque[k] *= friction->inertia[k];
+        torque[k] *= friction->inertia[k], torque[n + k] *= friction->inertia[k];
         fastest = fmax(fastest, fabs(v[k]));
         result->level[k] = inputs->level[k];
-        if (!isfinite(v[k]) || !isfinite(torque[k]) || !isfinite(inputs->level[k])) return GF_FRICTION_FAILED;
+        if (!isfinite(v[k]) || !isfinite(torque[k] + torque[n + k]) || !isfinite(inputs->level[k])) return GF_FRICTION_FAILED;
     }
     if (friction->observes) gf_observe_friction(friction, direction, torque, inputs->level, result->level);
     for (int k = 0; k < n; k++) {

@@ -23,6 +23,7 @@ from graspforce.control import (
 from graspforce.control.contacts.contact_constraints import ContactConstraints
 from graspforce.control.forces.margin_solver import MarginSolver
 from graspforce.control.forces.worst_cases import friction_margin
+from graspforce.control.friction.disturbance_observer import ObserverTimes
 from graspforce.control.friction.friction_compensation import (
     FrictionCompensation,
     FrictionMemory,
@@ -112,6 +113,49 @@ def test_compiled_compensation_equals_the_reference(name: str, observe: bool, mo
         np.testing.assert_allclose(ours[0], theirs[0], atol=1e-8)
         np.testing.assert_allclose(ours[1].level, theirs[1].level, atol=1e-8)
         assert ours[2] == theirs[2]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_feedback_along_the_plan_is_its_part_in_the_objects_mass_metric(name: str) -> None:
+    """An error across the plan, eᵀ M V = 0, has no part along it; an error along the plan has no other part."""
+    grasp, rng = named_grasp(name), np.random.default_rng(9)
+    settings = with_friction()
+    assert settings.friction is not None
+    constraints = ContactConstraints.from_contacts(grasp.contacts)
+    friction = GraspFriction(grasp, settings, settings.friction, constraints)
+    state, law = moving_state(grasp)[0], ObjectControlLaw(grasp, settings)
+    A, B, _ = constraints.constraint_rows(law.compute_targets(law.initial_memory(), state, state.object, None).rolling)
+    turn = np.kron(np.eye(2), grasp.R_HO)  # from O to H
+    mass, v_d = turn @ grasp.body.mass_matrix() @ turn.T, np.zeros(grasp.hand.n)
+    for _ in range(5):
+        V, any_error = rng.normal(size=(2, 6)) * np.repeat([0.02, 0.5], 3)  # m/s and rad/s; m and rad
+        body = BodyMotion(grasp.p_HO, grasp.R_HO, V)  # moves as desired: only the pose differs
+        across = any_error - V * (V @ mass @ any_error) / (V @ mass @ V)
+        for error, share in ((across, 0.0), (0.1 * V, 1.0)):
+            planned = friction.plan_rates(A, B, body, body, error, v_d)
+            size = np.abs(planned.feedback).max()
+            assert size > 0.1  # rad/s²
+            np.testing.assert_allclose(planned.along, share * planned.feedback, rtol=0, atol=1e-9 * size)
+
+
+def test_standing_error_across_the_plan_is_not_taken_for_common_friction() -> None:
+    """While static friction holds a wrong orientation, the levels do not depend on the time in which the common one follows."""
+    grasp, levels = named_grasp("four_finger box"), []
+    turned = Rotation.from_rotvec([0.0, 0.1, 0.1]).as_matrix() @ grasp.R_HO
+    for common in (0.05, 1e9):
+        settings = with_friction(times=ObserverTimes(common=common))
+        assert settings.friction is not None
+        friction = GraspFriction(grasp, settings, settings.friction, ContactConstraints.from_contacts(grasp.contacts))
+        law, memory = ObjectControlLaw(grasp, settings), FrictionMemory(np.full(grasp.hand.n, 0.07))
+        for k in range(1000):
+            twist = 0.02 * (-1.0) ** (k // 250) * np.eye(6)[0]  # m/s, along x and back
+            desired, measured = (BodyMotion(grasp.p_HO, R, twist) for R in (grasp.R_HO, turned))
+            state = GraspState(grasp.q, np.zeros(grasp.hand.n), measured)
+            targets = law.compute_targets(law.initial_memory(), state, desired, None)
+            memory = friction.compensate(memory, state, targets, desired)[1]
+        levels.append(memory.level)
+    np.testing.assert_allclose(levels[0], levels[1], rtol=0, atol=1e-12)
+    assert np.ptp(levels[0]) > 0.01  # N·m: single joints follow
 
 
 @pytest.mark.usefixtures("arithmetic")

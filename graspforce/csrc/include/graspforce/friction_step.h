@@ -6,7 +6,7 @@
  *     v   = v_d + A⁺ (B V_d − A v_d)
  *     tau = (c + s e^(−(v/v_s)²)) tanh(v/ε) + b v
  *
- * The levels c follow the feedback torque of the joints. The laws are stated in graspforce/control/friction/friction_compensation.py and
+ * The levels c follow the feedback torque of the joints; the common one only that along V_d. The laws are stated in graspforce/control/friction/friction_compensation.py and
  * graspforce/control/friction/disturbance_observer.py, the reference implementation in Python, which the tests compare with this one.
  *
  * Matrices are stored by rows, and arrays are contiguous. H is the hand's base, O the object. No function allocates memory or
@@ -32,6 +32,7 @@ extern "C" {
  * rate_joint         the same of the differences between joints
  * rate_forgetting    share of the differences that is forgotten in a period of motion
  * kp, kd             gains on the pose error, 1/s² and 1/s
+ * mass               mass matrix of the object about O, in O
  * inertia            of the joints, kg·m²
  * share              expected friction of each joint relative to the mean
  * largest            bound of the levels, N·m
@@ -45,6 +46,7 @@ extern "C" {
     FIELD(rate_forgetting, 1)             \
     FIELD(kp, 6)                          \
     FIELD(kd, 6)                          \
+    FIELD(mass, 36)                       \
     FIELD(inertia, motor_count)           \
     FIELD(share, motor_count)             \
     FIELD(largest, motor_count)           \
