@@ -56,12 +56,17 @@ class DrakeModel:
         """State and inputs of the plant."""
         return self.plant.GetMyMutableContextFromRoot(self.root)
 
-    def advance(self) -> None:
-        """Advance by one step. Contact results before this call are those of the step."""
+    def advance(self, steps: int) -> None:
+        """Advance by some steps of the engine. Contact results before this call are those of the first one.
+
+        Args:
+            steps: number of steps.
+        """
         update = self.diagram.AllocateDiscreteVariables()
-        self.diagram.CalcForcedDiscreteVariableUpdate(self.root, update)
-        self.root.get_mutable_discrete_state().SetFrom(update)
-        self.root.SetTime(self.root.get_time() + self.plant.time_step())
+        for _ in range(steps):
+            self.diagram.CalcForcedDiscreteVariableUpdate(self.root, update)
+            self.root.get_mutable_discrete_state().SetFrom(update)
+        self.root.SetTime(self.root.get_time() + steps * self.plant.time_step())
 
 
 def check_supported(grasp: Grasp, options: PlantOptions) -> None:
@@ -74,10 +79,10 @@ def check_supported(grasp: Grasp, options: PlantOptions) -> None:
         raise InvalidInput("grasp.hand", grasp.hand.name, "without locked joints in this plant")
 
 
-def build_model(grasp: Grasp, options: PlantOptions) -> DrakeModel:
-    """Return the model of a grasp."""
+def build_model(grasp: Grasp, options: PlantOptions, dt: float) -> DrakeModel:
+    """Return the model of a grasp, with an engine step of dt in s."""
     builder = DiagramBuilder()
-    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, options.dt)
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, dt)
     plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
     plant.mutable_gravity_field().set_gravity_vector(options.gravity_H)
     hand, described = grasp.hand, grasp.hand.description

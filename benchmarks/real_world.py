@@ -3,8 +3,9 @@
 The controller knows joint positions and, where stated, late camera poses. Each case runs with three hands, a ball of 50 g and
 a box of 50 g, in three plants: "links", built from the links of the hand's description, "urdf", the hand's URDF as MuJoCo
 compiles it, and "drake", the URDF in another engine (`pip install drake`). Drake's point contact has no torsional friction, so
-it lacks the cases with soft pads. Errors are judged by the true state. Displacements count from the start. The table shows the
-worst of all hands and objects for each plant, and how many meet the requirement. Encoders are exact except with the
+it lacks the cases with soft pads. Drake makes 25 steps of 40 µs in each control period, because its regularised friction lets
+contacts creep in proportion to its step. Errors are judged by the true state. Displacements count from the start. The table
+shows the worst of all hands and objects for each plant, and how many meet the requirement. Encoders are exact except with the
 camera (0.1 mrad). Without `--longest` a run takes 10 s, with the camera 60 s, and with lost drives 3 s.
 
 The results are in a file, one line for each run, which the next call continues. So the runs can be done in slices.

@@ -21,14 +21,14 @@ from graspforce.simulation import PlantOptions, UrdfPlant, linear_reference, sim
 pytest.importorskip("pydrake")
 sys.path.append(str(Path(__file__).parents[2]))  # the folder of benchmarks; behind the installed packages
 
-from benchmarks.drake_plant import DrakePlant, coupling_error, mass_matrix
+from benchmarks.drake_plant import SUBSTEPS, DrakePlant, coupling_error, mass_matrix
 
 EARTH = np.array([0.0, 0.0, -9.81])  # m/s²
 SETTINGS = ControlSettings(gravity_H=PALM_UP)
 
 
-def allegro_plant(events=(), **options) -> DrakePlant:
-    return DrakePlant(three_finger_grasp(), PlantOptions(gravity_H=PALM_UP, **options), events=events)
+def allegro_plant(events=(), substeps: int = SUBSTEPS, **options) -> DrakePlant:
+    return DrakePlant(three_finger_grasp(), PlantOptions(gravity_H=PALM_UP, **options), events=events, substeps=substeps)
 
 
 @pytest.mark.parametrize("name", ["allegro_right sphere", "four_finger box"])
@@ -56,9 +56,9 @@ def test_contacts_carry_the_given_forces_from_the_start():
 
 
 def test_momentum_of_the_object_follows_the_forces():
-    """m (v⁺ − v) / dt = Σ f + m g + push, to the tolerance of the engine's solver."""
+    """m (v⁺ − v) / dt = Σ f + m g + push in a step of the engine, to the tolerance of its solver."""
     force, friction = np.array([0.2, -0.1, 0.3]), np.array([0.4, 0.5, 0.6])  # N
-    plant = allegro_plant([lambda plant: plant.push(force)], friction=friction)
+    plant = allegro_plant([lambda plant: plant.push(force)], substeps=1, friction=friction)
     mass, tau = plant.grasp.body.mass, plant.true_contacts().tau
     for _ in range(20):
         before = plant.state().object
