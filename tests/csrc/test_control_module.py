@@ -138,6 +138,7 @@ def friction_arguments(rng: np.random.Generator) -> dict[str, Any]:
     settings = np.zeros((), np.dtype(native.friction_layout(J)))
     for name in settings.dtype.names:
         settings[name] = rng.uniform(0.1, 1.0, size=settings[name].shape)
+    settings["rest_rate"] = 1e-3  # rad/s: far below random rates, so that the plan moves
     arrays = random_arrays(rng, {"A": (R, J), "B": (R, 6), "R_HO": (3, 3), "twist": (6,), "twist_d": (6,), "error": (6,)})
     arrays |= {"v_d": rng.normal(size=J), "level": rng.uniform(size=J)}
     return {
