@@ -12,6 +12,7 @@ import numpy.typing as npt
 from graspforce.contact.motion import BodyMotion
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
+from graspforce.core.compiled import Block
 from graspforce.core.json_text import JsonRecord
 from graspforce.estimation.compiled_contact_forces import make_force_estimator
 from graspforce.estimation.compiled_contact_friction import make_friction_estimator
@@ -31,8 +32,9 @@ from graspforce.estimation.payload import PayloadEstimate, PayloadMemory, Payloa
 from graspforce.estimation.sensor_model import CameraModel, SensorModel
 from graspforce.estimation.settings import EstimatorSettings
 from graspforce.estimation.slip.compiled_detector import make_detector
+from graspforce.estimation.slip.compiled_precaution import make_precaution_test
 from graspforce.estimation.slip.detector import SlipEstimate, SlipInputs, pose_difference, pose_error
-from graspforce.estimation.slip.precaution import PrecautionMemory, PrecautionTest
+from graspforce.estimation.slip.precaution import PrecautionMemory
 from graspforce.estimation.slip.slip_memory import SlipBlocks, SlipMemory
 from graspforce.estimation.slip.slip_settings import SlipSettings
 from graspforce.grasp.grasp import Grasp
@@ -97,7 +99,7 @@ class GraspMonitorMemory(NamedTuple):
     payload: PayloadMemory
     recent: tuple[ContactForces, ...] = ()
     rejected: Array | None = None
-    precaution: PrecautionMemory | None = None
+    precaution: PrecautionMemory | Block | None = None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -170,7 +172,7 @@ class GraspMonitor:
         self._slip = make_detector(len(grasp.contacts), grasp.body.shape, sensors, period, settings.slip)
         encoder_variance = max(sensors.encoder_noise**2 + sensors.encoder_resolution**2 / 12.0, _LEAST_ENCODER_NOISE**2)
         interval = settings.slip.precaution_interval
-        self._precaution = PrecautionTest(len(grasp.contacts), encoder_variance, period, interval)
+        self._precaution = make_precaution_test(len(grasp.contacts), grasp.body.shape, encoder_variance, period, interval)
         self._friction = make_friction_estimator(grasp, period, settings.friction, self._forces.measured_variance)
         self._payload = make_payload_estimator(grasp.body, _PAYLOAD_STEPS * period, settings.payload)
 

@@ -66,6 +66,7 @@ CPP_PROGRAM = """
 #include <graspforce/joint_filter.h>
 #include <graspforce/payload_step.h>
 #include <graspforce/pose_fusion.h>
+#include <graspforce/precaution_step.h>
 #include <graspforce/slip_step.h>
 #include <graspforce/solve.h>
 #include <graspforce/version.h>

@@ -1,5 +1,5 @@
 /* The Python module graspforce.core._native: contact kinematics, contact poses and their fusion with measured poses,
- * contact forces, slip, friction, payload, a filter of joints, motions of bodies, joint accelerations, joint friction, messages of control
+ * contact forces, slip, precautions, friction, payload, a filter of joints, motions of bodies, joint accelerations, joint friction, messages of control
  * streams and their authentication, and the types ControlStep and MessageCode.
  *
  * Functions take keyword arguments: float64 arrays, and the arrays that they write. Those of control streams, which must be quickest,
@@ -13,6 +13,7 @@
 #include "message_code_type.inc"
 #include "payload_function.inc"
 #include "pose_fusion_function.inc"
+#include "precaution_function.inc"
 #include "slip_function.inc"
 #include "stream_check_functions.inc"
 #include "stream_command_function.inc"
@@ -254,6 +255,9 @@ static PyMethodDef functions[] = {
     {"slip_test_layout", gf_py_slip_test_layout, METH_VARARGS, slip_test_layout_doc},
     {"slip_state_layout", gf_py_slip_state_layout, METH_VARARGS, slip_state_layout_doc},
     {"slip_step", (PyCFunction)(void (*)(void))gf_py_slip_step, METH_FASTCALL | METH_KEYWORDS, slip_step_doc},
+    {"precaution_settings_layout", gf_py_precaution_settings_layout, METH_NOARGS, precaution_settings_layout_doc},
+    {"precaution_state_layout", gf_py_precaution_state_layout, METH_VARARGS, precaution_state_layout_doc},
+    {"precaution_step", (PyCFunction)(void (*)(void))gf_py_precaution_step, METH_FASTCALL | METH_KEYWORDS, precaution_step_doc},
     {"payload_settings_layout", gf_py_payload_settings_layout, METH_NOARGS, payload_settings_layout_doc},
     {"payload_inputs_layout", gf_py_payload_inputs_layout, METH_NOARGS, payload_inputs_layout_doc},
     {"payload_state_layout", gf_py_payload_state_layout, METH_NOARGS, payload_state_layout_doc},

@@ -33,6 +33,7 @@ from scipy.special import chdtri
 
 from graspforce.contact.motion import BodyMotion
 from graspforce.core.arrays import Array
+from graspforce.core.compiled import Block
 from graspforce.estimation.pose.contact_pose import ContactPose
 from graspforce.estimation.slip.detector import pose_difference
 from graspforce.estimation.slip.slip_memory import SlipBlocks, SlipMemory
@@ -40,10 +41,10 @@ from graspforce.estimation.slip.slip_memory import SlipBlocks, SlipMemory
 _WINDOWS = (0.004, 0.012, 0.03)  # s: means of the displacement that are tested
 _BASELINE = 0.2  # s: mean of the constant part of a displacement
 _LEVEL_TIME = 0.5  # s: mean of the statistics
-_REFRESH_STEPS = 64  # periods between two computations of the covariance, which changes with the posture only
+REFRESH_STEPS = 64  # periods between two computations of the covariance, which changes with the posture only
 _START_TIME = 0.2  # s without a test at the start, until the baseline is full
-_NOISE_LEVEL = 1.25  # largest mean of a statistic of noise, relative to its expectation
-_LEAST_VARIANCE = 1e-12  # m², of a displacement: it keeps covariances regular where a finger cannot move
+NOISE_LEVEL = 1.25  # largest mean of a statistic of noise, relative to its expectation
+LEAST_VARIANCE = 1e-12  # m², of a displacement: it keeps covariances regular where a finger cannot move
 
 
 class PrecautionMemory(NamedTuple):
@@ -84,8 +85,12 @@ class PrecautionTest:
         self.motion_threshold = -2.0 * math.log(share / (len(_WINDOWS) * count))
 
     def step(
-        self, memory: PrecautionMemory | None, slip: SlipMemory | SlipBlocks, contacts: ContactPose, desired: BodyMotion
-    ) -> tuple[bool, PrecautionMemory]:
+        self,
+        memory: PrecautionMemory | Block | None,
+        slip: SlipMemory | SlipBlocks,
+        contacts: ContactPose,
+        desired: BodyMotion,
+    ) -> tuple[bool, PrecautionMemory | Block]:
         """Return whether a precautionary squeeze is due in this period, and the memory for the next one.
 
         Args:
@@ -94,6 +99,7 @@ class PrecautionTest:
             contacts: the contacts at the estimated pose.
             desired: desired motion of the object in this period.
         """
+        assert memory is None or isinstance(memory, PrecautionMemory)  # this method makes no other
         y = slip.residual.reshape(-1, 3)[:, :2].ravel() - self._displacement(contacts, desired)
         if memory is None:
             count, means = len(y) // 2, np.tile(y, (len(self._gains), 1))
@@ -103,7 +109,7 @@ class PrecautionTest:
         gains = np.maximum(self._gains, 1.0 / updates)
         means = memory.means + gains[:, None] * (y - memory.means)
         variance = (1.0 - gains) ** 2 * memory.variance + gains * gains
-        whitener = memory.whitener if updates % _REFRESH_STEPS else self._whitener(contacts)
+        whitener = memory.whitener if updates % REFRESH_STEPS else self._whitener(contacts)
         z = (means[:-1] - means[-1]).dot(whitener)
         statistics = (z * z).reshape(len(z), -1, 2).sum(axis=2) / (variance[:-1] + variance[-1])[:, None]
         levels = np.maximum(memory.level, 1.0)
@@ -116,7 +122,7 @@ class PrecautionTest:
 
     def _growth(self, freedom: int, levels: Array) -> Array:
         """Return by how much thresholds grow with the levels of statistics with so many degrees of freedom."""
-        return np.asarray(freedom * self._tail * np.maximum(1.0 - _NOISE_LEVEL / levels, 0.0))
+        return np.asarray(freedom * self._tail * np.maximum(1.0 - NOISE_LEVEL / levels, 0.0))
 
     def _displacement(self, contacts: ContactPose, desired: BodyMotion) -> Array:
         """Return the displacements of the surface at the contacts from the estimated to the desired pose, (2 N,), m."""
@@ -127,7 +133,7 @@ class PrecautionTest:
         """Return the block-diagonal transposed inverse Cholesky factors of the covariances of the displacements."""
         count = len(contacts.R_OC)
         A = contacts.A.reshape(count, 4, -1)[:, :2]
-        covariance = self._variance * A @ A.transpose(0, 2, 1) + _LEAST_VARIANCE * np.eye(2)  # m²
+        covariance = self._variance * A @ A.transpose(0, 2, 1) + LEAST_VARIANCE * np.eye(2)  # m²
         whitener, each = np.zeros((count, 2, count, 2)), np.arange(count)
         whitener[each, :, each] = np.linalg.inv(np.linalg.cholesky(covariance)).transpose(0, 2, 1)
         return whitener.reshape(2 * count, -1)

@@ -6,8 +6,9 @@
  *     v   = v_d + A⁺ (B V_d − A v_d)
  *     tau = (c + s e^(−(v/v_s)²)) tanh(v/ε) + b v
  *
- * The levels c follow the feedback torque of the joints; the common one only that along V_d. The laws are stated in graspforce/control/friction/friction_compensation.py and
- * graspforce/control/friction/disturbance_observer.py, the reference implementation in Python, which the tests compare with this one.
+ * The levels c follow the feedback torque of the joints, their common part only the torque that acts along V_d. The laws are stated
+ * in friction_compensation.py and disturbance_observer.py in graspforce/control/friction, the reference implementation in Python,
+ * which the tests compare with this one.
  *
  * Matrices are stored by rows, and arrays are contiguous. H is the hand's base, O the object. No function allocates memory or
  * writes global state.
