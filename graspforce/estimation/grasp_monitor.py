@@ -171,8 +171,7 @@ class GraspMonitor:
         self._forces = make_force_estimator(grasp, measured, self._gravity_H, errors, disturbance_error)
         self._slip = make_detector(len(grasp.contacts), grasp.body.shape, sensors, period, settings.slip)
         encoder_variance = max(sensors.encoder_noise**2 + sensors.encoder_resolution**2 / 12.0, _LEAST_ENCODER_NOISE**2)
-        interval = settings.slip.precaution_interval
-        self._precaution = make_precaution_test(len(grasp.contacts), grasp.body.shape, encoder_variance, period, interval)
+        self._precaution = make_precaution_test(grasp, encoder_variance, period, settings.slip)
         self._friction = make_friction_estimator(grasp, period, settings.friction, self._forces.measured_variance)
         self._payload = make_payload_estimator(grasp.body, _PAYLOAD_STEPS * period, settings.payload)
 
@@ -220,7 +219,7 @@ class GraspMonitor:
         )
         slip, slip_memory = self._slip.step(memory.slip or self._slip.initial_memory(contacts), inputs)
         is_due, precaution = False, memory.precaution
-        if forces.mismatch is not None:
+        if measurement.tip_wrench is not None:
             is_due, precaution = self._precaution.step(precaution, slip_memory, contacts, applied.motion)
         friction, friction_memory = self._friction.step(memory.friction, forces, slip)
         payload, recent = memory.payload, (*memory.recent, forces)

@@ -394,19 +394,18 @@ def test_test_for_precautions_refuses_wrong_arrays() -> None:
     rng = np.random.default_rng(38)
     settings = np.ones((), np.dtype(native.precaution_settings_layout()))
     state = np.zeros((), np.dtype(native.precaution_state_layout(N)))
-    arguments = {"motor_count": J, "residual": rng.normal(size=3 * N), "force_statistic": 1.0, "force_level": 1.0}
-    arguments |= {"p_HO": rng.normal(size=3), "R_HO": np.eye(3), "settings": settings}
-    arguments |= {"pose": force_arguments(rng)[1]["pose"], "last": state, "next": state.copy()}
+    slip = slip_arguments(rng)
+    arguments = {"contact_count": N, "motor_count": J, "window_count": slip["window_count"], "p_HO": rng.normal(size=3)}
+    arguments |= {"R_HO": np.eye(3), "settings": settings, "pose": slip["pose"], "slip": slip["last"]}
+    arguments |= {"last": state, "next": state.copy()}
     assert native.precaution_step(**arguments) == 0  # the first period has no test
     assert arguments["next"]["updates"] == 1.0
     for name, value in arguments.items():
-        if name == "motor_count":
+        if name.endswith("_count"):
             assert_refused(native.precaution_step, arguments, name, [None, "high", -1, 5000, value + 1])
-        elif name.startswith("force_"):
-            assert_refused(native.precaution_step, arguments, name, [None, "high"])
         elif name == "next":
             assert_refused(native.precaution_step, arguments, name, wrong_outputs(value))
-        elif name in ("settings", "pose", "last"):
+        elif name in ("settings", "pose", "slip", "last"):
             assert_refused(native.precaution_step, arguments, name, [*wrong_outputs(value)[:2], None])
         else:
             assert_refused(native.precaution_step, arguments, name, wrong_arrays(value))

@@ -10,10 +10,10 @@
 enum { TWIST = 6 };
 
 /* Compute the small motion from the estimated to the desired pose, in the axes of the estimated one, m and rad. */
-static void gf_motion_to_desired(const gf_contact_pose *pose, const gf_precaution_inputs *inputs, double motion[TWIST])
+static void gf_motion_to_desired(const gf_contact_pose *pose, const gf_desired_pose *desired, double motion[TWIST])
 {
     double error[TWIST];
-    gf_pose_error(inputs->p_HO, inputs->R_HO, pose->p_HO, pose->R_HO, error);
+    gf_pose_error(desired->p_HO, desired->R_HO, pose->p_HO, pose->R_HO, error);
     for (int part = 0; part < 2; part++)
         for (int k = 0; k < 3; k++) {
             double sum = 0.0;
@@ -65,20 +65,20 @@ static int gf_test_motion(const gf_precaution_settings *settings, const gf_preca
     return is_moved;
 }
 
-int gf_precaution_step(const gf_precaution_settings *settings, const gf_contact_pose *pose, const gf_precaution_inputs *inputs,
-                       const gf_precaution_state *last, const gf_precaution_state *next)
+int gf_precaution_step(const gf_precaution_settings *settings, const gf_contact_pose *pose, const gf_desired_pose *desired,
+                       const gf_slip_state *slip, const gf_precaution_state *last, const gf_precaution_state *next)
 {
     const int N = settings->contact_count, rows = 2 * N;
     const double updates = next->updates[0] = last->updates[0] + 1.0;
     double motion[TWIST], gains[GF_PRECAUTION_MEANS];
-    gf_motion_to_desired(pose, inputs, motion);
+    gf_motion_to_desired(pose, desired, motion);
     for (int k = 0; k < GF_PRECAUTION_MEANS; k++) {
         const double g = gains[k] = fmax(settings->gains[k], 1.0 / updates);
         next->variance[k] = (1.0 - g) * (1.0 - g) * last->variance[k] + g * g;
     }
     for (int j = 0; j < rows; j++) {
         const int row = 3 * (j / 2) + j % 2;
-        const double y = inputs->residual[row] - gf_inner(TWIST, pose->contacts.B + TWIST * row, motion);
+        const double y = slip->residual[row] - gf_inner(TWIST, pose->contacts.B + TWIST * row, motion);
         for (int k = 0; k < GF_PRECAUTION_MEANS; k++) {
             const double mean = last->means[rows * k + j];
             next->means[rows * k + j] = mean + gains[k] * (y - mean);
@@ -91,6 +91,6 @@ int gf_precaution_step(const gf_precaution_settings *settings, const gf_contact_
     for (int i = 0; i < N; i++) next->level[i] = updates == 1.0 ? 1.0 : last->level[i];
     if (updates == 1.0) return 0;
     const int is_moved = gf_test_motion(settings, next);
-    const double pushed = settings->force_threshold[0] + gf_growth(settings, 3 * N, fmax(inputs->force_level, 1.0));
-    return updates > settings->start[0] && (is_moved || inputs->force_statistic > pushed);
+    const double pushed = settings->force_threshold[0] + gf_growth(settings, 3 * N, fmax(slip->level[0], 1.0));
+    return updates > settings->start[0] && (is_moved || slip->force_statistic[0] > pushed);
 }

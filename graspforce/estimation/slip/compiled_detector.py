@@ -67,6 +67,7 @@ class CompiledSlipDetector(SlipDetector):
         for name, value in self._compiled_settings().items():
             self._numbers[name] = value
         self._test_dtype: np.dtype[np.void] = np.dtype(native.slip_test_layout(count, windows))
+        self._spare = new_block(self._test_dtype)  # for the next test; most periods compute none
         self._state_dtype: np.dtype[np.void] = np.dtype(native.slip_state_layout(count, windows))
 
     def initial_memory(self, contacts: ContactPose) -> SlipBlocks:
@@ -91,10 +92,10 @@ class CompiledSlipDetector(SlipDetector):
         assert isinstance(memory, SlipBlocks)  # `initial_memory` makes no other
         assert isinstance(inputs.contacts, CompiledContactPose)
         forces = inputs.forces
-        if forces is not None and forces.mismatch is None:
-            forces = None
         assert forces is None or isinstance(forces, CompiledContactForces)
-        state, fresh = new_block(self._state_dtype), new_block(self._test_dtype)
+        if forces is not None and not forces.has_tips:
+            forces = None
+        state, fresh = new_block(self._state_dtype), self._spare
         contact_test, pose_test = memory.contact_test, memory.pose_test
         alarm = memory.last_alarm, memory.distance, memory.is_certain
         bits = native.slip_step(
@@ -118,6 +119,7 @@ class CompiledSlipDetector(SlipDetector):
             raise ArithmeticError("the covariance of the slip residuals is not positive definite")
         has_pose = inputs.pose_error is not None
         if bits & _NEW_TEST:
+            self._spare = new_block(self._test_dtype)
             contact_test, pose_test = (contact_test, fresh) if has_pose else (fresh, pose_test)
         if bits & _ALARM:
             test = pose_test if has_pose else contact_test

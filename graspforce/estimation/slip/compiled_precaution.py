@@ -17,36 +17,40 @@ from graspforce.estimation.slip.precaution import (
     PrecautionTest,
 )
 from graspforce.estimation.slip.slip_memory import SlipBlocks, SlipMemory
-from graspforce.geometry import Shape
+from graspforce.estimation.slip.slip_settings import SlipSettings
+from graspforce.grasp.grasp import Grasp
 
 
-def make_precaution_test(
-    count: int, shape: Shape | None, encoder_variance: float, period: float, interval: float
-) -> PrecautionTest:
+def make_precaution_test(grasp: Grasp, encoder_variance: float, period: float, settings: SlipSettings) -> PrecautionTest:
     """Return a test for precautions: compiled if possible, the reference implementation elsewhere.
 
     Args:
-        count: number N of contacts.
-        shape: the object's surface.
+        grasp: hand, object and contacts.
         encoder_variance: variance of the noise of a joint position, rad².
         period: time between two steps, s.
-        interval: time between two precautions without cause, s, at least.
+        settings: settings of the slip detector, with the time between two precautions without cause.
     """
-    is_compiled = native is not None and primitive_parameters(shape) is not None
-    return (CompiledPrecautionTest if is_compiled else PrecautionTest)(count, encoder_variance, period, interval)
+    numbers = len(grasp.contacts), encoder_variance, period, settings.precaution_interval
+    if native is None or primitive_parameters(grasp.body.shape) is None:
+        return PrecautionTest(*numbers)
+    return CompiledPrecautionTest(*numbers, grasp.hand.n, len(settings.windows))
 
 
 class CompiledPrecautionTest(PrecautionTest):
-    """Test for precautions by compiled code. The contacts come from a compiled estimator.
+    """Test for precautions by compiled code. Contacts and slip come from compiled estimators.
 
     Args:
         count: number N of contacts.
         encoder_variance: variance of the noise of a joint position, rad².
         period: time between two steps, s.
         interval: time between two precautions without cause, s, at least.
+        motor_count: number n of motors.
+        window_count: number of windows of the slip detector.
     """
 
-    def __init__(self, count: int, encoder_variance: float, period: float, interval: float) -> None:
+    def __init__(
+        self, count: int, encoder_variance: float, period: float, interval: float, motor_count: int, window_count: int
+    ) -> None:
         super().__init__(count, encoder_variance, period, interval)
         self._numbers = new_block(np.dtype(native.precaution_settings_layout()))
         values: dict[str, object] = {"gains": self._gains, "level_gain": self._level_gain, "start": self._start}
@@ -57,6 +61,7 @@ class CompiledPrecautionTest(PrecautionTest):
             self._numbers[name] = value
         self._dtype: np.dtype[np.void] = np.dtype(native.precaution_state_layout(count))
         self._first = new_block(self._dtype)
+        self._motors, self._slip_windows = motor_count, window_count
 
     def step(
         self,
@@ -69,22 +74,23 @@ class CompiledPrecautionTest(PrecautionTest):
 
         Args:
             memory: memory after the last period; None before the first.
-            slip: memory of the slip detector after this period.
+            slip: memory of a compiled slip detector after this period.
             contacts: the contacts at the estimated pose, of a compiled estimator.
             desired: desired motion of the object in this period.
         """
         assert isinstance(contacts, CompiledContactPose)
+        assert isinstance(slip, SlipBlocks)
         assert not isinstance(memory, PrecautionMemory)  # this method makes no other than blocks
         state = new_block(self._dtype)
         is_due = native.precaution_step(
-            motor_count=contacts.block["A"].shape[1],
-            residual=slip.residual,
-            force_statistic=slip.force_statistic,
-            force_level=slip.force_level,
+            contact_count=self._count,
+            motor_count=self._motors,
+            window_count=self._slip_windows,
             p_HO=desired.p_HO,
             R_HO=desired.R_HO,
             settings=self._numbers,
             pose=contacts.block,
+            slip=slip.state,
             last=self._first if memory is None else memory,
             next=state,
         )

@@ -100,6 +100,7 @@ class PrecautionTest:
             desired: desired motion of the object in this period.
         """
         assert memory is None or isinstance(memory, PrecautionMemory)  # this method makes no other
+        assert not isinstance(slip, SlipBlocks)  # they are for the compiled form
         y = slip.residual.reshape(-1, 3)[:, :2].ravel() - self._displacement(contacts, desired)
         if memory is None:
             count, means = len(y) // 2, np.tile(y, (len(self._gains), 1))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
 from graspforce.contact.kinematics import TipContactState
 from graspforce.core.arrays import Array
 from graspforce.core.compiled import Block
@@ -92,18 +90,3 @@ class SlipBlocks(NamedTuple):
     last_alarm: float
     distance: Array
     is_certain: bool
-
-    @property
-    def residual(self) -> Array:
-        """(3 N,) slip and gap of each finger for the estimated pose and the measured joint positions, m."""
-        return np.asarray(self.state["residual"])
-
-    @property
-    def force_statistic(self) -> float:
-        """Statistic of unexpected forces, over its mean in the past; zero without forces."""
-        return float(self.state["force_statistic"][0])
-
-    @property
-    def force_level(self) -> float:
-        """Mean of the force statistic, relative to that of noise; 0 before the first forces."""
-        return float(self.state["level"][0])

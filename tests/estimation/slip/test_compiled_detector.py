@@ -67,10 +67,11 @@ def compare(grasp, times, settings=None, **scenario):
             assert getattr(found, name) == getattr(expected, name)
         assert found.statistics.shape == expected.statistics.shape
         found_memory, expected_memory = memories
-        np.testing.assert_allclose(found_memory.residual, expected_memory.residual, rtol=0.0, atol=ROUNDING * 1e-3)
-        np.testing.assert_allclose(found_memory.force_statistic, expected_memory.force_statistic, rtol=1e-9)
+        state = found_memory.state
+        np.testing.assert_allclose(state["residual"], expected_memory.residual, rtol=0.0, atol=ROUNDING * 1e-3)
+        np.testing.assert_allclose(state["force_statistic"], expected_memory.force_statistic, rtol=1e-9)
         if expected_memory.forces is not None:
-            np.testing.assert_allclose(found_memory.force_level, expected_memory.force_level, rtol=1e-9)
+            np.testing.assert_allclose(state["level"], expected_memory.force_level, rtol=1e-9)
         scale = max(expected.statistics.max(initial=0.0), 1.0)
         np.testing.assert_allclose(found.statistics, expected.statistics, rtol=0.0, atol=ROUNDING * scale)
         np.testing.assert_allclose(found.distance, expected.distance, rtol=0.0, atol=ROUNDING * 1e-3)

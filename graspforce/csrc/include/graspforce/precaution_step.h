@@ -12,6 +12,7 @@
 #define GF_PRECAUTION_STEP_H
 
 #include "graspforce/contact_pose.h"
+#include "graspforce/slip_step.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -70,18 +71,23 @@ typedef struct {
 #undef GF_POINTER
 } gf_precaution_state;
 
-/* What is known of a period. */
+/* Desired pose of the object in a period, in H. */
 typedef struct {
-    const double *residual; /* (3 contact_count) slip and gap for the estimated pose and the measured joint positions, m */
-    const double *p_HO;     /* (3) desired position of the object in H, m */
-    const double *R_HO;     /* (3, 3) its desired axes in H */
-    double force_statistic; /* of unexpected forces, over its mean in the past */
-    double force_level;     /* that mean, relative to that of noise */
-} gf_precaution_inputs;
+    const double *p_HO; /* (3) position, m */
+    const double *R_HO; /* (3, 3) axes */
+} gf_desired_pose;
 
-/* Write the state after a period to `next`, no part of which may overlap `last`. Return 1 if a precaution is due, otherwise 0. */
-int gf_precaution_step(const gf_precaution_settings *settings, const gf_contact_pose *pose, const gf_precaution_inputs *inputs,
-                       const gf_precaution_state *last, const gf_precaution_state *next);
+/* Compute the state after a period.
+ *
+ * pose     contacts at the estimated pose
+ * desired  desired pose of the object
+ * slip     state of the slip detector after the period; its residual, force_statistic and level are used
+ * last     state after the last period
+ * next     written; no part of it may overlap `last`
+ *
+ * Return 1 if a precaution is due, otherwise 0. */
+int gf_precaution_step(const gf_precaution_settings *settings, const gf_contact_pose *pose, const gf_desired_pose *desired,
+                       const gf_slip_state *slip, const gf_precaution_state *last, const gf_precaution_state *next);
 
 #ifdef __cplusplus
 }
