@@ -15,9 +15,11 @@ separates these worlds; with `--hard-pads` the same worlds have no torsional fri
 
 The results are in a file, one line for each world, which the next call continues, with the same grasps. So a campaign can be
 run in slices.
-The 22 worlds in which `dlr_hit2` and `four_finger` did not hold the object were run again after a change of the friction
-observer: its common level follows feedback along the plan only. The other rows are older than this change. They include worlds
-in which it may have lost what was held, so the tables compare hands only approximately.
+
+The controller's observer of joint friction was changed afterwards: its common level follows feedback along the planned motion
+only. The 22 worlds in which `dlr_hit2` and `four_finger` had failed ran again with it. The others are from before, so that the
+tables do not show what the change lost.
+
 `graspforce simulate --hand HAND --object OBJECT --travel 0.005,0,0 --duration 4 --world real --world-seed SEED` repeats a run.
 """
 

@@ -47,6 +47,7 @@ from benchmarks.slip_cases import (
     random_disturbance,
     record,
 )
+from graspforce.control.contacts.slip_reflex import PRECAUTION_TIME
 from graspforce.estimation import CameraModel, SensorModel
 
 TITLE = "Detection of slip"
@@ -63,7 +64,6 @@ Flags = npt.NDArray[np.bool_]
 
 _START = 0.35  # s: the disturbance begins after this time
 _FOUND_WITHIN = 0.06  # s after a slip of 0.5 mm
-_PRECAUTION_TIME = 0.05  # s before a slip of 0.5 mm in which a precaution counts as a reaction to it
 _NOT_COUNTED = 0.02  # s: a slip after which the run ends sooner is not counted
 
 
@@ -140,7 +140,7 @@ def observe(truth: Truth, rows: tuple[int, int | None, int], sensing: Sensing) -
     """
     start, counts, end = rows
     found: Record = {"first": None, "reaction": None, "early": 0, "precautions": 0, "right": None, "friction": []}
-    since = 0 if counts is None else counts - round(_PRECAUTION_TIME / PERIOD)
+    since = 0 if counts is None else counts - round(PRECAUTION_TIME / PERIOD)
     errors: dict[int, list[float]] = {}
     lost = [first_or_end(~touching) for touching in truth.rows["touching"].astype(bool).T]
     for k in range(end):

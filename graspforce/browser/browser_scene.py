@@ -144,7 +144,9 @@ class BrowserScene:
             R_HO: (3, 3) orientation in H.
         """
         with self.server.atomic():
-            self._desired.position, self._desired.wxyz, self._desired.visible = p_HO, rotation_quaternion(R_HO), True
+            self._send(self._desired, "position", p_HO, _LEAST_MOVE)
+            self._send(self._desired, "wxyz", rotation_quaternion(R_HO), _LEAST_TURN)
+            self._send(self._desired, "visible", True)
 
     def close(self) -> None:
         """Close all pages, and free the port."""

@@ -108,24 +108,17 @@ class ForcePlanner:
             friction = np.array(tilted_friction(mu, gamma, np.array([self._settings.contact_error])))
         due = conditions.is_precaution_due
         reflex = self._reflex.step(memory.reflex, conditions.slipping, friction[0], memory.f, due)
-        rest, lost = (ramp, margin), self._find_lost(conditions.lost)
+        plan = ContactPlan(None, None, self._find_lost(conditions.lost), ramp, margin)
         if reflex is None or reflex.precaution is None:
-            return self._make_plan(friction, reflex, lost, *rest)
-        without = self._make_plan(friction, reflex.without_precaution, lost, *rest)
-        return ContactPlan(friction / (1.0 + reflex.squeeze), reflex, lost, *rest, without)
+            return self._with_reflex(plan, friction, reflex)
+        without = self._with_reflex(plan, friction, reflex.without_precaution)
+        return self._with_reflex(plan, friction, reflex)._replace(without_precaution=without)
 
-    def _make_plan(
-        self,
-        friction: Array,
-        reflex: ReflexMemory | None,
-        lost: LostDrives | None,
-        ramp: ForceRamp | None,
-        margin: float | None,
-    ) -> ContactPlan:
-        """Return the plan of a step without precaution, from its friction (2, N) without the reflex."""
+    def _with_reflex(self, plan: ContactPlan, friction: Array, reflex: ReflexMemory | None) -> ContactPlan:
+        """Return a plan with a reflex, from the friction (2, N) without it."""
         if reflex is not None:
-            friction = friction / (1.0 + reflex.level)
-        return ContactPlan(None if friction is self._solver.least else friction, reflex, lost, ramp, margin)
+            friction = friction / (1.0 + reflex.squeeze)
+        return plan._replace(friction=None if friction is self._solver.least else friction, reflex=reflex)
 
     def solve(
         self, plan: ContactPlan, memory: ControlMemory, targets: StepTargets, tau_u: Array
