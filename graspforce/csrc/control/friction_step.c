@@ -3,7 +3,7 @@
 
 #include "graspforce/friction_step.h"
 
-enum { GF_SIDES = 3, GF_TORQUES = 2 }; /* right-hand sides: planned rates, feedback, and feedback along the plan */
+enum { GF_SIDES = 3, GF_TORQUES = 2 };    /* right-hand sides: planned rates, feedback, and feedback along the plan */
 static const double LEAST_ENERGY = 1e-20; /* J, twice the kinetic energy of an object at rest */
 
 size_t gf_friction_work_size(const gf_friction *friction, int rows)

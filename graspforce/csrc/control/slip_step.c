@@ -230,8 +230,7 @@ int gf_slip_step(const gf_slip_settings *settings, const gf_contact_pose *pose, 
     next->force_statistic[0] = 0.0;
     if (inputs->forces != NULL) {
         next->force_statistic[0] = gf_force_statistic(settings, inputs, rest, next);
-        if (next->force_statistic[0] > settings->force_threshold[0])
-            next->alert_until[0] = inputs->t + settings->alert_time[0];
+        if (next->force_statistic[0] > settings->force_threshold[0]) next->alert_until[0] = inputs->t + settings->alert_time[0];
         if (inputs->mu != NULL && gf_find_limits(settings, inputs, next)) bits |= GF_SLIP_AT_LIMIT;
     }
     const int is_alert = inputs->t <= next->alert_until[0];
