@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.control.joints.joint_command import JointMotion
 from graspforce.control.phases.contact_detector import ContactDetector, DetectorMemory
@@ -12,7 +13,7 @@ from graspforce.control.phases.phase_rules import NO_CONTACT
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.phases.phase_step import PhaseTorques
 from graspforce.control.phases.tip_motion import TipMotion
-from graspforce.control.phases.touched_grasp import pose_from_touch, touch_gaps, touched_grasp
+from graspforce.control.phases.touched_grasp import POSE_DEVIATIONS, pose_from_touch, touch_gaps, touched_grasp
 from graspforce.core.arrays import Array, freeze
 from graspforce.estimation.measurement import Measurement
 
@@ -23,7 +24,7 @@ _FRICTION_SHARE = 0.3  # of the observed joint friction at the tip, by which the
 _ACROSS_SHARE = 1.5  # the same across the normals: static friction exceeds the observed one, and such a force hardly pushes
 _RISE_TIME = 0.1  # s, of the closing speed
 _MOST_RETRIES, _RETRY_EFFORT = 2, 2.0  # of fingers that stopped off the object, and factor of their bound each time
-_FREE_DEVIATIONS = 2.0  # standard deviations of the object's place within which a finger may touch
+_LARGEST_EFFORT = 8.0  # a finger that breaks loose then still moves slowly
 
 
 class ClosePhase:
@@ -32,8 +33,9 @@ class ClosePhase:
     A finger that touches stops. Its target is then inside the object along the normal, so that its feedback, which is bounded,
     presses with the touch force.
 
-    A finger may also stop by static friction of its joints, or lose the object that another finger moves. When all have
-    stopped, those that are off the surface of the most probable object go on with a larger bound, twice at most.
+    A finger may also stop by static friction of its joints, or lose the object that another finger moves. One that stops before
+    the object's nearest place goes on with a larger bound. When all have stopped, those that are off the surface of the most
+    probable object do, too, twice at most.
 
     Args:
         servo: the servo.
@@ -59,8 +61,8 @@ class ClosePhase:
         count = len(grasp.fingers)
         lever = float(np.linalg.norm(grasp.contacts.p_OC, axis=1).max())  # m
         spread = np.hypot(settings.position_error, settings.angle_error * lever)
-        self._free_travel = max(float((plan.standoff - _FREE_DEVIATIONS * spread).min()), _LEAST_FREE_TRAVEL)  # m
-        self._q = plan.q_pregrasp
+        self._free_travel = max(float((plan.standoff - POSE_DEVIATIONS * spread).min()), _LEAST_FREE_TRAVEL)  # m
+        self._q, self._p_start = plan.q_pregrasp, self._motion.positions(plan.q_pregrasp)
         self._travel = np.zeros(count)  # m, of the targets
         self._effort = np.ones(count)  # factor of the bound's share of the friction
         self._memory: DetectorMemory | None = None
@@ -107,12 +109,17 @@ class ClosePhase:
         if not is_off.any():
             return False
         self._retries += 1
-        excess = self._motion.positions(self._q) - servo.p_tip  # m
-        self._q, _ = self._motion.advance(self._q, np.where(is_off[:, None], -excess, 0.0), 1.0)
-        self._effort = np.where(is_off, _RETRY_EFFORT * self._effort, self._effort)
-        self._memory = self._detector.restarted(self._memory, is_off)
+        self._memory = self._restart(is_off, servo.p_tip, self._memory)
         self.signs = tuple("" if off else sign for sign, off in zip(self.signs, is_off.tolist(), strict=True))
         return True
+
+    def _restart(self, fingers: npt.NDArray[np.bool_], p_tip: Array, memory: DetectorMemory) -> DetectorMemory:
+        """Set the targets of fingers to where they are, with a larger bound, and return the detector's memory."""
+        excess = self._motion.positions(self._q) - p_tip  # m
+        self._q, _ = self._motion.advance(self._q, np.where(fingers[:, None], -excess, 0.0), 1.0)
+        self._travel = np.where(fingers, self._along(p_tip - self._p_start), self._travel)
+        self._effort = np.where(fingers, np.minimum(_RETRY_EFFORT * self._effort, _LARGEST_EFFORT), self._effort)
+        return self._detector.restarted(memory, fingers)
 
     def _along(self, vectors: Array) -> Array:
         """Return the components (N,) of vectors (N, 3) along the inward normals."""
@@ -125,7 +132,11 @@ class ClosePhase:
             self._memory = self._detector.initial_memory(p_tip)
         lag = self._along(self._motion.positions(self._q) - p_tip)  # m
         signs, self._memory = self._detector.step(self._memory, measurement, servo, self._normals, lag, force, is_free)
-        found = [i for i, sign in enumerate(signs) if sign and not self.signs[i]]
+        is_new = np.array([bool(sign) and not known for sign, known in zip(signs, self.signs, strict=True)])
+        is_stuck = is_new & (self._along(p_tip - self._p_start) < self._free_travel)  # the object cannot be there
+        if is_stuck.any():
+            self._memory = self._restart(is_stuck, p_tip, self._memory)
+        found = np.flatnonzero(is_new & ~is_stuck).tolist()
         if not found:
             return
         self.signs = tuple(signs[i] if i in found else sign for i, sign in enumerate(self.signs))

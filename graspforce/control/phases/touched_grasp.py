@@ -6,7 +6,8 @@ The estimate minimises
     Σ ((φ(p_i) − r_i)/σ_c)² + (x² + y²)/σ_p² + (ψ/σ_ψ)²,
 
 with the signed distance φ of each tip's centre p_i from the surface and the tip's radius r_i. It is the most probable pose for
-independent Gaussian errors of the touched places, σ_c, and of the expected pose, σ_p and σ_ψ.
+independent Gaussian errors of the touched places, σ_c, and of the expected pose, σ_p and σ_ψ, within two standard deviations of
+the latter. So a fingertip that stopped where the object cannot be stays off its surface.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from graspforce.contact.contact import Contact, ContactSet
 from graspforce.control.phases.phase_settings import PhaseSettings
@@ -25,9 +27,8 @@ from graspforce.geometry.rotations import rotation_exp
 from graspforce.geometry.vectors import unit_vectors
 from graspforce.grasp.grasp import Grasp
 
-_ITERATIONS = 20
-_STEP = 1e-6  # m and rad, of differences
-_CONVERGED = 1e-7  # m and rad
+POSE_DEVIATIONS = 2.0  # standard deviations of the object's pose within which it is
+_CONVERGED = 1e-6  # relative change of the weighted errors
 
 
 def pose_from_touch(grasp: Grasp, p_tip: Array, down: Array, settings: PhaseSettings) -> tuple[Array, Array]:
@@ -48,18 +49,13 @@ def pose_from_touch(grasp: Grasp, p_tip: Array, down: Array, settings: PhaseSett
     radii = np.array([grasp.hand.finger(name).tip_radius or 0.0 for name in grasp.fingers])  # m
     axes = np.linalg.svd(down[None])[2][1:]  # two directions along the table
     deviations = np.array([settings.position_error, settings.position_error, settings.angle_error])
-    x = np.zeros(3)
-    for _ in range(_ITERATIONS):
-        rows = [x, *(x + _STEP * np.eye(3))]
-        distances = [_distances(shape, *_displaced(grasp, each, axes, down), p_tip) - radii for each in rows]
-        J = (np.array(distances[1:]) - distances[0]).T / _STEP
-        A = np.vstack([J / settings.contact_error, np.diag(1.0 / deviations)])
-        b = -np.concatenate([distances[0] / settings.contact_error, x / deviations])
-        step = np.linalg.lstsq(A, b, rcond=None)[0]
-        x = x + step
-        if np.abs(step).max() < _CONVERGED:
-            break
-    return _displaced(grasp, x, axes, down)
+
+    def errors(x: Array) -> Array:
+        distances = _distances(shape, *_displaced(grasp, deviations * x, axes, down), p_tip) - radii
+        return np.concatenate([distances / settings.contact_error, x])
+
+    found = least_squares(errors, np.zeros(3), bounds=(-POSE_DEVIATIONS, POSE_DEVIATIONS), ftol=_CONVERGED)
+    return _displaced(grasp, deviations * found.x, axes, down)
 
 
 def touched_grasp(grasp: Grasp, q: Array, p_tip: Array, pose: tuple[Array, Array]) -> Grasp:

@@ -31,10 +31,10 @@ from graspforce.simulation.cycle.table_scene import TableScene, find_table_grasp
 
 SeedCallback = Callable[[int, str], None]
 
-_SEEDS = 8  # grasps that are tried
+_SEEDS = 16  # grasps that are tried
 _OPEN_DISTANCE = 0.05  # m: distance of the fingertips from the contacts in the start posture
 _LEAST_CLEARANCE = 0.0005  # m, of links, palm, object and table
-_STANDOFF_SHARES = (1.0, 0.85, 0.7)  # of the stand-off distance, that are tried
+_STANDOFF_SHARES = (1.0, 1.25, 1.5, 0.85, 0.7)  # of the stand-off distance, that are tried in turn
 _STARTS, _START_SPREAD = 40, 0.15  # random start postures that are tried, and their spread as a part of each joint's range
 _LEAST_WAY = 0.05  # rad, of the joint that moves furthest in the approach
 _LARGEST_ERROR, _LARGEST_TURN = 0.01, math.radians(10.0)  # m and rad, of the object's pose, at which nothing touches yet
@@ -88,12 +88,12 @@ def plan_cycle(scene: TableScene, settings: PhaseSettings | None = None, motion:
 
 
 def _pregrasp(scene: TableScene, distance: float) -> tuple[Array, Array]:
-    """Return the pre-grasp posture with the largest stand-off distance at which nothing touches, and these distances, m."""
+    """Return a pre-grasp posture in which nothing touches, and its stand-off distances (N,), m."""
     gap = -np.inf
     for share in _STANDOFF_SHARES:
         q, standoff = opened_posture(scene.grasp, share * distance)
         gap = max(gap, _least_gap(scene, q))
-        if gap >= _LEAST_CLEARANCE and standoff.min() >= _STANDOFF_SHARES[-1] * distance:
+        if gap >= _LEAST_CLEARANCE and standoff.min() >= min(_STANDOFF_SHARES) * distance:
             return q, standoff
     raise InvalidInput("scene", f"pre-grasp postures with a gap of {1e3 * gap:.1f} mm at most", "a grasp with room around it")
 

@@ -31,13 +31,14 @@ class StickingServo:
     Args:
         plan: the plan.
         force: largest force at which the first finger sticks, N.
+        stuck: distance before its contact where it sticks, m.
     """
 
     period = PERIOD
 
-    def __init__(self, plan: CyclePlan, force: float) -> None:
+    def __init__(self, plan: CyclePlan, force: float, stuck: float = STUCK) -> None:
         grasp = plan.grasp
-        self._grasp, self._force = grasp, force
+        self._grasp, self._force, self._stuck = grasp, force, stuck
         self._normals = grasp.contacts.R_OC[:, :, 2] @ grasp.R_HO.T
         self._touch = np.array([grasp.hand.tip_pose(grasp.q, name)[0] for name in grasp.fingers])
 
@@ -47,16 +48,16 @@ class StickingServo:
         ahead = np.einsum("ij,ij->i", targets - self._touch, self._normals)  # m
         room = np.zeros(len(fingers))
         if isinstance(bounds, ForceBounds) and bounds.along[0] <= self._force:
-            room[0] = -STUCK
+            room[0] = -self._stuck
         p_tip = targets - np.maximum(ahead - room, 0.0)[:, None] * self._normals
         none = np.zeros((len(fingers), 3))
         return ServoStep(np.zeros(hand.n), desired.q, np.zeros(hand.n), p_tip, none, none), memory
 
 
-def close(plan: CyclePlan, force: float) -> tuple[bool, str, np.ndarray]:
+def close(plan: CyclePlan, force: float, stuck: float = STUCK) -> tuple[bool, str, np.ndarray]:
     """Return whether the close ends, why it aborts, and the gaps at its end, m."""
     hand = plan.grasp.hand
-    servo, detector = StickingServo(plan, force), ContactDetector(hand, SensorModel(), SETTINGS, PERIOD)
+    servo, detector = StickingServo(plan, force, stuck), ContactDetector(hand, SensorModel(), SETTINGS, PERIOD)
     phase = ClosePhase(servo, detector, plan, SETTINGS, BaseMotion.at_rest(np.zeros(3)))
     memory = ServoMemory(None, np.zeros(hand.n), np.full(hand.n, 0.05))
     for k in range(3000):
@@ -87,3 +88,12 @@ def test_close_ends_with_a_finger_that_never_breaks_loose(plan):
     is_over, abort, gaps = close(plan, 1e3)
     assert is_over, abort
     assert gaps[0] == pytest.approx(STUCK, abs=1e-3)
+
+
+def test_finger_that_sticks_where_the_object_cannot_be_does_not_wait_for_the_others(plan):
+    """It goes on with twice the bound, until it touches; without that the close never ends."""
+    stuck = float(plan.standoff[0])  # m: it has not left the pre-grasp posture
+    is_over, abort, gaps = close(plan, 1.5 * largest_bound(plan), stuck)
+    assert is_over, abort
+    assert np.abs(gaps).max() < 1e-3
+    assert not close(plan, 1e3, stuck)[0]

@@ -6,12 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.phases.tip_motion import TipMotion, opened_posture
-from graspforce.control.phases.touched_grasp import contact_shifts, pose_from_touch, touch_gaps, touched_grasp
+from graspforce.control.phases.touched_grasp import POSE_DEVIATIONS, contact_shifts, pose_from_touch, touch_gaps, touched_grasp
+from graspforce.geometry import Box
 from graspforce.geometry.rotations import rotation_exp
-from tests.support.table_scenes import ball_scene
+from graspforce.grasp.body import Body
+from tests.support.table_scenes import MASS, RADIUS, ball_scene
 
 
 def tips(grasp):
@@ -41,6 +44,31 @@ def test_object_never_leaves_the_table():
     p, R = pose_from_touch(scene.grasp, p_tip, scene.down, PhaseSettings())
     assert abs((p - scene.grasp.p_HO) @ scene.down) < 1e-9
     assert np.abs(R @ scene.grasp.R_HO.T @ scene.down - scene.down).max() < 1e-9
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_fitted_pose_is_within_two_deviations_of_the_expected_one(seed):
+    """Touched places far off the surface, of fingers that stuck, do not move the object where it cannot be."""
+    scene, settings = ball_scene(), PhaseSettings()
+    grasp = replace(scene.grasp, body=Body.solid(Box([1.6 * RADIUS, 2.0 * RADIUS, 2.4 * RADIUS]), MASS))
+    rng = np.random.default_rng(seed)
+    p_tip = tips(grasp) + 0.015 * rng.standard_normal((len(grasp.fingers), 3))
+    p, R = pose_from_touch(grasp, p_tip, scene.down, settings)
+    along = np.linalg.svd(scene.down[None])[2][1:] @ (p - scene.grasp.p_HO)  # m
+    turn = np.linalg.norm(Rotation.from_matrix(R @ scene.grasp.R_HO.T).as_rotvec())  # rad
+    assert np.abs(along).max() <= POSE_DEVIATIONS * settings.position_error + 1e-12  # m, rounding
+    assert turn <= POSE_DEVIATIONS * settings.angle_error + 1e-9  # rad, rounding
+
+
+def test_finger_that_stuck_far_from_the_object_stays_off_the_fitted_surface():
+    """The others touch the expected object; the fit does not explain 25 mm of the stuck finger by the object's pose."""
+    scene, settings = ball_scene(), PhaseSettings()
+    grasp = scene.grasp
+    outward = -grasp.contacts.R_OC[:, :, 2] @ grasp.R_HO.T
+    p_tip = tips(grasp)
+    p_tip[0] += 0.025 * outward[0]
+    pose = pose_from_touch(grasp, p_tip, scene.down, settings)
+    assert touch_gaps(touched_grasp(grasp, grasp.q, p_tip, pose), p_tip)[0] > settings.fit_tolerance
 
 
 def test_touched_contacts_are_on_the_surface_below_the_tips():
