@@ -83,7 +83,7 @@ def main() -> None:
         run_missing(file, trials, options)
     chosen = set(trials)
     records = [record for record in file.records if (record.grasp, record.seed) in chosen]
-    report(records, len(trials), options.save)
+    report(records, len(trials), options)
 
 
 def run_missing(file: CampaignFile, trials: list[Trial], options: argparse.Namespace) -> None:
@@ -157,28 +157,29 @@ def reference(grasp: Grasp) -> Reference:
     return linear_reference(BodyMotion(grasp.p_HO, grasp.R_HO), TRAVEL, PERIOD)
 
 
-def report(records: list[TrialRecord], total: int, path: Path | None) -> None:
+def report(records: list[TrialRecord], total: int, options: argparse.Namespace) -> None:
     """Print the tables, and write the page.
 
     Args:
         records: the worlds so far.
         total: number of worlds of the whole campaign.
-        path: the page; None for none.
+        options: of the command line.
     """
     if not records:
         print("No world yet.")
         return
     rows, pads, failures = held_rows(records), pad_rows(records), failure_rows(records)
-    report_page.show(TITLE, HEAD, rows)
+    title = f"{TITLE} with hard pads" if options.hard_pads else TITLE
+    report_page.show(title, HEAD, rows)
     report_page.show("Pads", PAD_HEAD, pads)
     report_page.show("Failures", FAILURE_HEAD, failures, width=160)
     state = f"{len(records)} of {total} runs."
     print(state)
-    if path is not None:
+    if options.save is not None:
         tables = [state, report_page.table(HEAD, rows, 2), "## Pads", report_page.table(PAD_HEAD, pads, 2)]
         if failures:
             tables += ["## Failures", report_page.table(FAILURE_HEAD, failures, 3)]
-        report_page.save(path, TITLE, __doc__, report_page.facts(f"MuJoCo {mujoco.__version__}"), "\n\n".join(tables))
+        report_page.save(options.save, title, __doc__, report_page.facts(f"MuJoCo {mujoco.__version__}"), "\n\n".join(tables))
 
 
 def held_rows(records: list[TrialRecord]) -> list[tuple[str, ...]]:

@@ -19,7 +19,7 @@ def on_files(files: Files, config: Any) -> Files:
     for page in sorted(RESULTS.rglob("*.md")):
         name = f"benchmarks/{page.relative_to(RESULTS).as_posix()}"
         pages[name] = re.sub(r"\]\((?:\.\./)+(?!results|media)[^)]*\.(?:py|toml)\)", "](../architecture.md)", page.read_text())
-    pages["benchmarks/index.md"] = results_index(sorted(RESULTS.rglob("*.md")))
+    pages["benchmarks/index.md"] = results_index((ROOT / "benchmarks" / "README.md").read_text())
     for name, text in pages.items():
         files.append(File.generated(config, name, content=text))
     for picture in sorted(RESULTS.rglob("*.png")):
@@ -28,13 +28,14 @@ def on_files(files: Files, config: Any) -> Files:
     return files
 
 
-def results_index(pages: list[Path]) -> str:
-    """Return the list of benchmark pages by their titles."""
-    lines = ["# Benchmarks", "", "Each page names the command that writes it.", ""]
-    for page in pages:
-        title = next((line[2:] for line in page.read_text().splitlines() if line.startswith("# ")), page.stem)
-        lines.append(f"- [{title}]({page.relative_to(RESULTS).as_posix()})")
-    return "\n".join(lines) + "\n"
+def results_index(readme: str) -> str:
+    """Return the tables of benchmarks from `benchmarks/README.md`, with links to the pages of this site.
+
+    Args:
+        readme: text of the file.
+    """
+    tables = re.split(r"^## ", readme, flags=re.MULTILINE)[-1].partition("\n")[2].replace("](results/", "](")
+    return "# Benchmarks\n" + re.sub(r"\[([^\]]+)\]\(#[^)]*\)", r"\1", tables).replace("\n### ", "\n## ")
 
 
 def bibliography() -> str:

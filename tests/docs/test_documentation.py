@@ -119,6 +119,12 @@ def test_links_to_files_lead_somewhere(page):
         assert path.exists(), f"{name(page)}: {target}"
 
 
+def test_every_benchmark_page_is_in_the_list_of_benchmarks():
+    results, readme = ROOT / "benchmarks" / "results", (ROOT / "benchmarks" / "README.md").read_text()
+    pages = [page.relative_to(results).as_posix() for page in results.rglob("*.md")]
+    assert not [page for page in pages if f"](results/{page})" not in readme]
+
+
 def test_the_architecture_page_names_files_that_exist():
     text = (ROOT / "docs" / "architecture.md").read_text()
     named = [name for name in re.findall(r"`([\w/]+\.(?:py|c|h))`", text) if "/" in name]
