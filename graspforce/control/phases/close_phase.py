@@ -17,14 +17,15 @@ from graspforce.control.phases.touched_grasp import POSE_DEVIATIONS, pose_from_t
 from graspforce.core.arrays import Array, freeze
 from graspforce.estimation.measurement import Measurement
 
-_FREE_FORCE = 5.0  # N: bound of the feedback while no finger can touch
+_FREE_FORCE = 5.0  # N: bound of the feedback of a finger that cannot touch yet
+_LARGEST_LAG = 5e-3  # m, from a free fingertip to its target
+_LAG_AT_TOUCH = 2e-3  # m, the same where it may touch: half of the lag that the detector takes for a contact
 _PRESS_DISTANCE = 0.01  # m: a waiting finger's target is this far inside, so that its feedback reaches the touch force
-_LEAST_FREE_TRAVEL = 0.003  # m: the fingers overcome their static friction before any of them may touch
+_LEAST_FREE_TRAVEL = 0.003  # m: the fingers overcome their static friction in it
 _FRICTION_SHARE = 0.3  # of the observed joint friction at the tip, by which the bound grows: friction is not constant
 _ACROSS_SHARE = 1.5  # the same across the normals: static friction exceeds the observed one, and such a force hardly pushes
 _RISE_TIME = 0.1  # s, of the closing speed
 _MOST_RETRIES, _RETRY_EFFORT = 2, 2.0  # of fingers that stopped off the object, and factor of their bound each time
-_LARGEST_EFFORT = 8.0  # a finger that breaks loose then still moves slowly
 
 
 class ClosePhase:
@@ -33,9 +34,9 @@ class ClosePhase:
     A finger that touches stops. Its target is then inside the object along the normal, so that its feedback, which is bounded,
     presses with the touch force.
 
-    A finger may also stop by static friction of its joints, or lose the object that another finger moves. One that stops before
-    the object's nearest place goes on with a larger bound. When all have stopped, those that are off the surface of the most
-    probable object do, too, twice at most.
+    A fingertip before the object's nearest place is free: a large bound overcomes the static friction of its joints, which the
+    servo learns while all are free. Later a finger may stop by static friction, or lose the object that another finger moves.
+    When all have stopped, those that are off the surface of the most probable object go on with a larger bound, twice at most.
 
     Args:
         servo: the servo.
@@ -64,6 +65,7 @@ class ClosePhase:
         self._free_travel = max(float((plan.standoff - POSE_DEVIATIONS * spread).min()), _LEAST_FREE_TRAVEL)  # m
         self._q, self._p_start = plan.q_pregrasp, self._motion.positions(plan.q_pregrasp)
         self._travel = np.zeros(count)  # m, of the targets
+        self._tip_travel, self._lag = np.zeros(count), np.zeros(count)  # m, of the tips, and behind their targets
         self._effort = np.ones(count)  # factor of the bound's share of the friction
         self._memory: DetectorMemory | None = None
         self.signs: tuple[str, ...] = ("",) * count
@@ -80,15 +82,17 @@ class ClosePhase:
         """
         settings, dt = self._settings, self._servo.period
         speed = settings.close_speed * min(1.0, t / _RISE_TIME)
-        is_moving = np.array([not sign for sign in self.signs])
+        may_touch = self._tip_travel >= self._free_travel
+        is_free = not may_touch.any()
+        is_moving = np.array([not sign for sign in self.signs]) & (may_touch | (self._lag < _LARGEST_LAG))
         farthest = self._standoff + settings.largest_travel  # m
         self._q, rates = self._motion.advance(self._q, (speed * is_moving)[:, None] * self._normals, dt)
         self._travel += speed * dt * is_moving
-        is_free = float(self._travel.max()) < self._free_travel
-        force = np.full(len(is_moving), _FREE_FORCE) if is_free else self._bound(memory, _FRICTION_SHARE)
-        bounds = force if is_free else ForceBounds(self._normals, force, self._bound(memory, _ACROSS_SHARE))
+        force = np.where(may_touch, self._bound(memory, _FRICTION_SHARE), _FREE_FORCE)
+        across = np.where(may_touch, self._bound(memory, _ACROSS_SHARE), _FREE_FORCE)
+        bounds = force if is_free else ForceBounds(self._normals, force, across)
         servo = self._servo.step(memory, measurement, JointMotion(self._q, rates), bounds, is_free=is_free)
-        self._detect(measurement, servo[0], force, is_free)
+        self._detect(measurement, servo[0], force, may_touch)
         missed = bool(((self._travel > farthest) & is_moving).any())
         is_over = all(self.signs) and not self._retry(servo[0])
         return PhaseTorques(servo[0].tau, servo, self._base, is_over, NO_CONTACT if missed and not is_over else "")
@@ -110,33 +114,33 @@ class ClosePhase:
             return False
         self._retries += 1
         self._memory = self._restart(is_off, servo.p_tip, self._memory)
+        self._effort = np.where(is_off, _RETRY_EFFORT * self._effort, self._effort)
         self.signs = tuple("" if off else sign for sign, off in zip(self.signs, is_off.tolist(), strict=True))
         return True
 
     def _restart(self, fingers: npt.NDArray[np.bool_], p_tip: Array, memory: DetectorMemory) -> DetectorMemory:
-        """Set the targets of fingers to where they are, with a larger bound, and return the detector's memory."""
+        """Set the targets of fingers to where they are, and return the detector's memory in which they move again."""
         excess = self._motion.positions(self._q) - p_tip  # m
         self._q, _ = self._motion.advance(self._q, np.where(fingers[:, None], -excess, 0.0), 1.0)
         self._travel = np.where(fingers, self._along(p_tip - self._p_start), self._travel)
-        self._effort = np.where(fingers, np.minimum(_RETRY_EFFORT * self._effort, _LARGEST_EFFORT), self._effort)
         return self._detector.restarted(memory, fingers)
 
     def _along(self, vectors: Array) -> Array:
         """Return the components (N,) of vectors (N, 3) along the inward normals."""
         return np.asarray(np.einsum("ij,ij->i", vectors, self._normals))
 
-    def _detect(self, measurement: Measurement, servo: ServoStep, force: Array, is_free: bool) -> None:
+    def _detect(self, measurement: Measurement, servo: ServoStep, force: Array, may_touch: npt.NDArray[np.bool_]) -> None:
         """Stop the fingers that touch now, and set their targets inside the object."""
         p_tip = servo.p_tip
         if self._memory is None:
             self._memory = self._detector.initial_memory(p_tip)
-        lag = self._along(self._motion.positions(self._q) - p_tip)  # m
-        signs, self._memory = self._detector.step(self._memory, measurement, servo, self._normals, lag, force, is_free)
-        is_new = np.array([bool(sign) and not known for sign, known in zip(signs, self.signs, strict=True)])
-        is_stuck = is_new & (self._along(p_tip - self._p_start) < self._free_travel)  # the object cannot be there
-        if is_stuck.any():
-            self._memory = self._restart(is_stuck, p_tip, self._memory)
-        found = np.flatnonzero(is_new & ~is_stuck).tolist()
+        self._lag = self._along(self._motion.positions(self._q) - p_tip)  # m
+        is_free = not may_touch.any()
+        signs, memory = self._detector.step(self._memory, measurement, servo, self._normals, self._lag, force, is_free)
+        self._tip_travel = np.maximum(self._tip_travel, self._along(p_tip - self._p_start))
+        arrives = ~may_touch & (self._tip_travel >= self._free_travel) & (self._lag > _LAG_AT_TOUCH)
+        self._memory = self._restart(arrives, p_tip, memory) if arrives.any() else memory
+        found = [i for i, sign in enumerate(signs) if sign and may_touch[i] and not self.signs[i]]
         if not found:
             return
         self.signs = tuple(signs[i] if i in found else sign for i, sign in enumerate(self.signs))
