@@ -17,14 +17,15 @@ CORE = (
     *(f"tests/contact/test_{name}.py" for name in ("contact", "friction", "matrices", "closure")),
     *(f"tests/force/test_{name}.py" for name in ("certificate", "cone_program", "problem", "rigorous", "scale")),
 )
-BESIDE = ("benchmarks", "docs", "examples", "packaging", "tests", "pyproject.toml", "README.md", "Makefile")
+FOLDERS = (".github", "benchmarks", "docs", "examples", "packaging", "tests")
+FILES = ("CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "Makefile", "README.md", "mkdocs.yml", "pyproject.toml")
 
 
 def main() -> int:
     """Copy the tests, and what they read, to a folder of their own, run them there, and return pytest's exit code."""
     checkout, given = Path(sys.argv[1]).resolve(), sys.argv[2:]
     with tempfile.TemporaryDirectory() as folder:
-        for name in BESIDE:
+        for name in (*FOLDERS, *FILES):
             source = checkout / name
             (shutil.copytree if source.is_dir() else shutil.copy)(source, Path(folder) / name)
         code = "import graspforce; print(graspforce.__file__)"

@@ -45,6 +45,7 @@ from graspforce.grasp.grasp import Grasp
 _AS_MODELLED = ContactConditions()
 _make_state = unchecked_constructor(GraspState)
 _CERTAIN = 3.0  # standard deviations from which a normal force is not zero
+_CREEP_DEVIATIONS = 4.0  # of a fingertip's position, from which motion along the surface is not noise
 # rad. A filter for better encoders follows a joint that breaks loose from friction within a period; the loop that compensates
 # its disturbance is then unstable.
 _LEAST_ENCODER_NOISE = 3e-5
@@ -113,7 +114,7 @@ class OutputFeedbackLaw:
         if settings is None:
             base = ControlSettings(period=1.0 / measured.rate)
             settings = ControlSettings.for_sensors(measured, base, drives=grasp.hand.drives).settings
-        self.settings = settings
+        self.settings = _with_creep_above_noise(settings, grasp, self.sensors)
         self.law = ObjectControlLaw(grasp, self.settings)
         self.estimator = GraspEstimator(grasp, self.sensors, self.settings.period)
         self.monitor: GraspMonitor | None = None
@@ -239,6 +240,18 @@ def _with_least_noise(sensors: SensorModel) -> SensorModel:
     """Return the sensors with the least noise of encoders for which the filter's disturbances can be compensated."""
     noise = math.sqrt(max(_LEAST_ENCODER_NOISE**2 - sensors.encoder_resolution**2 / 12.0, 0.0))  # rad
     return replace(sensors, encoder_noise=max(sensors.encoder_noise, noise))
+
+
+def _with_creep_above_noise(settings: ControlSettings, grasp: Grasp, sensors: SensorModel) -> ControlSettings:
+    """Return settings whose limit of sliding exceeds the error of the fingertips' first positions.
+
+    The estimates begin with the first measurement, and its error counts as sliding until it is forgotten.
+    """
+    tips = [grasp.hand.frame_id(name) for name in grasp.fingers]
+    J = grasp.hand.model.frame_jacobians(grasp.q[None], tips)[1][0, :, :3]
+    deviation = math.sqrt(sensors.encoder_variance * float(np.square(J).sum(axis=(1, 2)).max()))  # m
+    limit = max(settings.creep_limit, _CREEP_DEVIATIONS * deviation)
+    return settings if limit == settings.creep_limit else replace(settings, creep_limit=limit)
 
 
 def _in_contact_frame(estimate: GraspEstimate, desired: DesiredMotion, latency: float) -> DesiredMotion:

@@ -19,12 +19,13 @@ from graspforce.simulation.worlds.world_plants import make_world_plant
 TRAVEL = np.array([0.0, 0.005, 0.0])  # m
 
 
-def run(world: World, duration: float = 0.7, settings=SETTINGS):
+def run(world: World, duration: float = 0.7, settings=SETTINGS, on_step=lambda plant, command: None):
     """Return the recording of the controller in a world, following 5 mm at 1 Hz."""
     grasp = three_finger_grasp()
     plant = make_world_plant(world, grasp, PALM_UP)
     controller = OutputFeedbackController(grasp, settings, world.sensors)
-    return simulate_measured(plant, controller, linear_reference(start_of(grasp), TRAVEL, 1.0), duration, world)
+    reference = linear_reference(start_of(grasp), TRAVEL, 1.0)
+    return simulate_measured(plant, controller, reference, duration, world, on_step=on_step)
 
 
 def test_object_follows_from_joint_positions_alone():
@@ -47,6 +48,25 @@ def test_error_from_encoder_noise_stays_near_the_noise_of_the_fingertips():
     error = recording.motion_error
     assert not recording.is_dropped
     assert np.sqrt(np.mean(np.sum((error - error.mean(axis=0)) ** 2, axis=1))) < 0.1 * 2.0 * noise
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_encoder_noise_alone_gives_no_warning(seed):
+    """The first measurement is off by the noise; that this error is found later is no slip."""
+    warnings = []
+    world = World(sensors=SensorModel(encoder_noise=1e-3), seed=seed)
+    recording = run(world, 0.3, on_step=lambda plant, command: warnings.extend(command.warnings))
+    assert recording.sliding.max() < 1e-4  # m
+    assert not warnings
+
+
+def test_slip_beyond_the_noise_gives_a_warning():
+    """The friction is a fifth of what the controller knows, so that fingertips slide by more than their noise."""
+    warnings = []
+    world = World(sensors=SensorModel(encoder_noise=1e-4), friction_factor=0.2)
+    recording = run(world, 0.3, on_step=lambda plant, command: warnings.extend(command.warnings))
+    assert recording.sliding.max() > 1e-3  # m
+    assert any("slips" in each for each in warnings)
 
 
 def test_object_is_held_with_a_late_camera_and_without_its_images():
