@@ -1,13 +1,16 @@
 """Sizes and import times of installations: python -m benchmarks.installation [--python P ...].
 
-Each row is a new virtual environment, into which pip installs this checkout with the extras. The size is the sum of all
+Each row is a new virtual environment, into which pip installs a copy of this checkout, without compiled parts, with the extras.
+The size is the sum of all
 files that the installation added, without pip itself. Times are medians of new processes: `import graspforce`, and `import` and
-the first certified solution of two opposed contacts together. The requirement is 300 MB for the core.
+the first certified solution of two opposed contacts together. The requirement is 300 MB for the core. Without a C compiler there
+is no structured solver, and Clarabel solves.
 """
 
 from __future__ import annotations
 
 import os
+import shutil
 import statistics
 import subprocess
 import sys
@@ -20,6 +23,7 @@ from benchmarks import report_page
 
 ROOT = Path(__file__).parents[1]
 MAX_CORE = 300.0  # MB
+BUILT = ("build", "dist", "*.egg-info", "*.so", "__pycache__", ".*")  # is left out of the copy
 EXTRAS = ("", "hand", "plan", "serve", "plot", "sim", "all")
 _TIMER = "import time; t = time.perf_counter(); {statement}; print(time.perf_counter() - t)"
 _SOLVE = """
@@ -68,7 +72,8 @@ def measure(python: str, extra: str, compiled: bool, rounds: int) -> tuple[str, 
         before = installed_megabytes(environment)
         own = environment / "bin" / "python"
         variables = os.environ if compiled else {**os.environ, "CC": "false", "CXX": "false"}
-        target = f"{ROOT}[{extra}]" if extra else str(ROOT)
+        source = shutil.copytree(ROOT, Path(folder) / "source", ignore=shutil.ignore_patterns(*BUILT))
+        target = f"{source}[{extra}]" if extra else str(source)
         install = [own, "-m", "pip", "install", "--quiet", "--no-compile", target]
         subprocess.run(install, check=True, env=variables, stderr=subprocess.DEVNULL)
         size = installed_megabytes(environment) - before
@@ -78,7 +83,8 @@ def measure(python: str, extra: str, compiled: bool, rounds: int) -> tuple[str, 
         code = "import sys, graspforce as gf; print(sys.version.split()[0], *gf.available_backends())"
         named = subprocess.run([own, "-c", code], capture_output=True, text=True, check=True, cwd=tempfile.gettempdir())
         version, *backends = named.stdout.split()
-    return (extra or "core", version, " ".join(backends), f"{size:.0f}", f"{1e3 * imported:.0f}", f"{1e3 * solved:.0f}")
+    name = (extra or "core") + ("" if compiled else ", no C compiler")
+    return (name, version, " ".join(backends), f"{size:.0f}", f"{1e3 * imported:.0f}", f"{1e3 * solved:.0f}")
 
 
 def main() -> None:
@@ -94,7 +100,7 @@ def main() -> None:
         cases += [(python, "", False) for python in options.python]
     rows = [measure(*case, options.rounds) for case in track(cases, description="Installing")]
     head = ("extra", "Python", "solvers", "size MB", "import ms", "import and first solution ms")
-    largest = max((float(row[3]) for row in rows if row[0] == "core"), default=0.0)
+    largest = max((float(row[3]) for row in rows if row[0].startswith("core")), default=0.0)
     facts = report_page.facts("pip without byte code")
     facts += f" The core takes at most {largest:.0f} MB: {'met' if largest <= MAX_CORE else 'missed'}, below {MAX_CORE:.0f} MB."
     report_page.show("Installations", head, rows)
