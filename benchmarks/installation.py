@@ -1,10 +1,9 @@
 """Sizes and import times of installations: python -m benchmarks.installation [--python P ...].
 
 Each row is a new virtual environment, into which pip installs a copy of this checkout, without compiled parts, with the extras.
-The size is the sum of all
-files that the installation added, without pip itself. Times are medians of new processes: `import graspforce`, and `import` and
-the first certified solution of two opposed contacts together. The requirement is 300 MB for the core. Without a C compiler there
-is no structured solver, and Clarabel solves.
+The size is the sum of all files that the installation added, without pip itself. Times are medians of new processes: `import
+graspforce`, and `import` and the first certified solution of two opposed contacts together. The requirement is 300 MB for the
+core. Without a C compiler there is no structured solver, and Clarabel solves.
 """
 
 from __future__ import annotations
