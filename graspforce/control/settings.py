@@ -100,8 +100,8 @@ class ControlSettings:
         period: time between two steps, s.
         integral_limit_linear: largest linear acceleration from the integral, m/s².
         integral_limit_angular: largest angular acceleration from the integral, rad/s².
-        creep_limit: sliding distance of a fingertip from which the controller warns of slip, m. With noisy encoders at least four
-            standard deviations of the fingertip's position count.
+        creep_limit: sliding distance of a fingertip from which the controller warns of slip, m. With noisy encoders at least
+            four standard deviations of the fingertip's position count.
         creep_time: time constant with which past sliding is forgotten, s.
         contact_tolerance: distance between fingertip and surface from which the controller warns of a lost contact, m.
         rank_tolerance: singular values of the constraint matrix below this fraction of the largest count as zero, in (0, 1).
