@@ -11,7 +11,7 @@ import numpy as np
 from graspforce.contact.motion import BodyMotion
 from graspforce.control.joints.joint_command import JointMotion
 from graspforce.control.phases.cycle_plan import BaseMotion, base_motion, braked_motion
-from graspforce.control.phases.finger_servo import FingerServo, ServoMemory
+from graspforce.control.phases.finger_servo import FingerServo, ServoMemory, ServoStep
 from graspforce.control.phases.load_transfer import inertial_wrench, table_wrench
 from graspforce.control.phases.motion_profile import MotionProfile
 from graspforce.control.phases.phase_rules import LOST_CONTACT, NO_FORCES
@@ -24,6 +24,7 @@ from graspforce.geometry.rotations import rotation_exp, rotation_log
 from graspforce.grasp.grasp import Grasp
 
 _DECELERATION = 1.0  # m/s², of the base in a safe stop
+_FASTEST_TIP = 0.05  # m/s: speed along its inward normal of a fingertip that does not touch
 _YIELD_TIME = 0.05  # s: lag with which the target of an object on the table follows its estimated pose
 
 
@@ -147,7 +148,8 @@ class GraspWatch:
 class SqueezePhase:
     """The forces rise from the touch to the planned forces of an object on the table, then the weight goes to the fingers.
 
-    The torques are (1 − r) tau_wait + r tau_object with the rise r, so no finger presses more than planned.
+    The torques are (1 − r) tau_wait + r tau_object with the rise r, so no finger presses more than planned. A finger may not
+    touch yet. While it runs towards the object, the rise goes back, so that it arrives slowly.
 
     Args:
         held: the object.
@@ -161,7 +163,11 @@ class SqueezePhase:
     def __init__(self, held: HeldObject, q_wait: Array, base: BaseMotion) -> None:
         self._held, self._wait, self._base, self._watch = held, JointMotion(q_wait), base, GraspWatch(held)
         self.target = YieldingTarget(held)
-        self._force = np.full(len(held.grasp.fingers), held.settings.touch_force)
+        grasp = held.grasp
+        self._force = np.full(len(grasp.fingers), held.settings.touch_force)
+        self._tips = [grasp.hand.frame_id(name) for name in grasp.fingers]
+        self._normals = grasp.contacts.R_OC[:, :, 2] @ grasp.R_HO.T
+        self._rise_time = 0.0  # s
 
     def step(self, t: float, measurement: Measurement, memory: ServoMemory) -> PhaseTorques:
         """Return the torques of a period; see `JointPhase.step`.
@@ -172,14 +178,21 @@ class SqueezePhase:
             memory: memory of the servo.
         """
         held, settings = self._held, self._held.settings
-        share = minimum_jerk(t, settings.squeeze_time)[0]
-        weight = minimum_jerk(max(t - settings.squeeze_time, 0.0), settings.transfer_time)[0]
         servo = held.servo.step(memory, measurement, self._wait, self._force, predicted=False)
+        is_running = self._inward_speeds(servo[0]).max() > _FASTEST_TIP
+        self._rise_time = max(self._rise_time + (-1.0 if is_running else 1.0) * held.servo.period, 0.0)
+        share = minimum_jerk(self._rise_time, settings.squeeze_time)[0]
+        weight = minimum_jerk(max(self._rise_time - settings.squeeze_time, 0.0), settings.transfer_time)[0]
         command = held.step(measurement, 1.0 - weight, self._base, self.target.advance())
         tau = freeze((1.0 - share) * servo[0].tau + share * command.tau)
-        is_over = t >= settings.squeeze_time + settings.transfer_time and not command.forces_reused
+        is_over = self._rise_time >= settings.squeeze_time + settings.transfer_time and not command.forces_reused
         abort = self._watch.abort_reason(command)
         return PhaseTorques(tau, servo, self._base, is_over, abort, command, share)
+
+    def _inward_speeds(self, servo: ServoStep) -> Array:
+        """Return the speeds (N,) of the fingertips along their inward normals, m/s."""
+        J = self._held.grasp.hand.model.frame_jacobians(servo.q[None], self._tips)[1][0, :, :3]
+        return np.asarray(np.einsum("ij,ijk,k->i", self._normals, J, servo.v))
 
 
 class CarryPhase:

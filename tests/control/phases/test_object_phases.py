@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from graspforce.control.phases.cycle_plan import BaseMotion
-from graspforce.control.phases.object_phases import GraspWatch, HeldObject
+from graspforce.control.phases.finger_servo import ServoStep
+from graspforce.control.phases.object_phases import GraspWatch, HeldObject, SqueezePhase
 from graspforce.control.phases.phase_rules import LOST_CONTACT
 from graspforce.control.phases.phase_settings import PhaseSettings
+from graspforce.control.phases.tip_motion import TipMotion
 from graspforce.estimation.measurement import Measurement, PoseMeasurement
 from tests.support.table_scenes import ball_scene
 
@@ -42,6 +44,44 @@ def loss_time(held: HeldObject) -> float:
         if watch.abort_reason(SimpleNamespace(forces_reused=False)) == LOST_CONTACT:
             return k * PERIOD
     return np.inf
+
+
+class RunningServo:
+    """Servo whose first fingertip moves along its inward normal with a speed, m/s."""
+
+    period = PERIOD
+
+    def __init__(self, speed: float) -> None:
+        grasp = ball_scene().grasp
+        normals = grasp.contacts.R_OC[:, :, 2] @ grasp.R_HO.T
+        self._q, self.speed = grasp.q, speed
+        _, self._rates = TipMotion(grasp.hand, grasp.fingers).advance(grasp.q, np.array([[1.0], [0.0], [0.0]]) * normals, 1e-6)
+
+    def step(self, memory, measurement, desired, bounds, *, is_free=False, predicted=True):
+        v, none = self.speed * self._rates, np.zeros((3, 3))
+        return ServoStep(np.zeros(len(v)), self._q, v, none, none, none), memory
+
+
+def test_squeeze_goes_back_while_a_fingertip_runs_towards_the_object():
+    """A finger that rushes to the object would hit it with more than the planned force."""
+    servo, scene = RunningServo(0.0), ball_scene()
+    controller = RecordingController()
+    controller.step = lambda measurement, desired, external=None: SimpleNamespace(forces_reused=False, tau=np.ones(16))
+    controller.estimate.object = SimpleNamespace(p_HO=scene.grasp.p_HO, R_HO=scene.grasp.R_HO)
+    held = HeldObject(scene.grasp, controller, servo, scene.gravity_H, SETTINGS, np.zeros(3))
+    phase = SqueezePhase(held, scene.grasp.q, BaseMotion.at_rest(np.zeros(3)))
+
+    def shares(speed: float, count: int) -> np.ndarray:
+        servo.speed = speed
+        return np.array([phase.step(0.0, Measurement(0.0, scene.grasp.q), None).share for _ in range(count)])
+
+    rising = shares(0.02, 200)
+    assert (np.diff(rising) > 0.0).all()
+    assert (np.diff(shares(0.1, 150)) < 0.0).all()
+    assert shares(0.1, 100)[-1] == 0.0
+    again = shares(0.02, 1000)
+    assert again[:200] == pytest.approx(rising)
+    assert again[-1] == 1.0
 
 
 def test_camera_does_not_move_a_held_object():
