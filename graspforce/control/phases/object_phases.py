@@ -24,7 +24,7 @@ from graspforce.geometry.rotations import rotation_exp, rotation_log
 from graspforce.grasp.grasp import Grasp
 
 _DECELERATION = 1.0  # m/s², of the base in a safe stop
-_FASTEST_TIP = 0.05  # m/s: speed along its inward normal of a fingertip that does not touch
+_FASTEST_TIP = 0.03  # m/s: speed along its inward normal of a fingertip that does not touch
 _YIELD_TIME = 0.05  # s: lag with which the target of an object on the table follows its estimated pose
 
 
