@@ -207,11 +207,9 @@ def c_times() -> str:
     compiler = shutil.which("cc") or shutil.which("gcc")
     if compiler is None:
         return ""
-    sources = [
-        ROOT / "benchmarks" / "rigorous_time.c",
-        *(ROOT / "graspforce/csrc/kernel" / f"{n}.c" for n in ("rigorous", "certify")),
-    ]
-    flags = ["-std=gnu11", "-O3", "-fno-math-errno", "-fno-trapping-math", f"-I{ROOT / 'graspforce/csrc/include'}"]
+    library = Path(gf.__file__).parent / "csrc"
+    sources = [ROOT / "benchmarks" / "rigorous_time.c", *(library / "kernel" / f"{n}.c" for n in ("rigorous", "certify"))]
+    flags = ["-std=gnu11", "-O3", "-fno-math-errno", "-fno-trapping-math", f"-I{library / 'include'}"]
     with tempfile.TemporaryDirectory() as folder:
         program = Path(folder) / "times"
         subprocess.run([compiler, *flags, *map(str, sources), "-lm", "-o", str(program)], check=True)

@@ -12,7 +12,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-#include "../../graspforce/csrc/kernel/solve.c"
+#include "kernel/solve.c"
 /* after the kernel, whose variables have the same names */
 #include "../../benchmarks/random_problem.inc"
 

@@ -41,7 +41,7 @@ def laws(tmp_path_factory: pytest.TempPathFactory) -> Path:
         pytest.skip("needs a C compiler")
     source = Path(__file__).with_name("short_step_laws.c")
     program = tmp_path_factory.mktemp("laws") / "laws"
-    flags = ["-std=gnu11", "-O0", "-DGF_LANES=1", "-Wno-psabi", f"-I{SOURCES / 'include'}"]
+    flags = ["-std=gnu11", "-O0", "-DGF_LANES=1", "-Wno-psabi", f"-I{SOURCES}", f"-I{SOURCES / 'include'}"]
     subprocess.run([COMPILER, *flags, str(source), "-lm", "-o", str(program)], check=True, timeout=300)
     return program
 

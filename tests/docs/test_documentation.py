@@ -14,6 +14,7 @@ import typer
 from support.servers import ANY_LOCAL_PORT, plain_session
 from support.wire_page import wire_replies
 
+import graspforce
 from graspforce.cli import app
 from graspforce.service import Server
 from graspforce.service.wire import protocol
@@ -129,7 +130,7 @@ def test_the_architecture_page_names_files_that_exist():
     text = (ROOT / "docs" / "architecture.md").read_text()
     named = [name for name in re.findall(r"`([\w/]+\.(?:py|c|h))`", text) if "/" in name]
     assert named
-    places = [ROOT / "graspforce", ROOT]
+    places = [Path(graspforce.__file__).parent, ROOT]
     assert not [name for name in named if not any((place / name).is_file() for place in places)]
 
 
