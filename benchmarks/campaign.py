@@ -17,9 +17,9 @@ The results are in a file, one line for each world, which the next call continue
 run in slices.
 
 The controller's observer of joint friction was changed afterwards: its common level follows feedback along the planned motion
-only. The 22 worlds in which `dlr_hit2` and `four_finger` had failed ran again with it. The others are from before. Of them the
-seeds 100 to 123 ran again for comparison: 97 of 120 are held, 103 before. No object is dropped. The ball of `anthropomorphic15`
-loses: it is held in 4 of 12 worlds, 11 before.
+only. The 22 worlds in which `dlr_hit2` and `four_finger` had failed ran again with it. The others are from before. Seeds 100 to
+123 ran again for comparison (`records/campaign_again.jsonl`): 97 of 120 worlds are held, 103 before, and no object is dropped.
+The ball of `anthropomorphic15` is held in 4 of 12 worlds, 11 before.
 
 `graspforce simulate --hand HAND --object OBJECT --travel 0.005,0,0 --duration 4 --world real --world-seed SEED` repeats a run.
 """

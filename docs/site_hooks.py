@@ -34,7 +34,7 @@ def results_index(readme: str) -> str:
     Args:
         readme: text of the file.
     """
-    tables = re.split(r"^## ", readme, flags=re.MULTILINE)[-1].partition("\n")[2].replace("](results/", "](")
+    tables = readme.partition("\n## Other benchmarks\n")[2].replace("](results/", "](")
     return "# Benchmarks\n" + re.sub(r"\[([^\]]+)\]\(#[^)]*\)", r"\1", tables).replace("\n### ", "\n## ")
 
 

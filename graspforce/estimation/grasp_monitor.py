@@ -170,7 +170,7 @@ class GraspMonitor:
             errors, measured = of_currents.added_to(errors), replace(sensors, torque_noise=of_currents.noise)
         self._forces = make_force_estimator(grasp, measured, self._gravity_H, errors, disturbance_error)
         self._slip = make_detector(len(grasp.contacts), grasp.body.shape, sensors, period, settings.slip)
-        encoder_variance = max(sensors.encoder_noise**2 + sensors.encoder_resolution**2 / 12.0, _LEAST_ENCODER_NOISE**2)
+        encoder_variance = max(sensors.encoder_variance, _LEAST_ENCODER_NOISE**2)
         self._precaution = make_precaution_test(grasp, encoder_variance, period, settings.slip)
         self._friction = make_friction_estimator(grasp, period, settings.friction, self._forces.measured_variance)
         self._payload = make_payload_estimator(grasp.body, _PAYLOAD_STEPS * period, settings.payload)
