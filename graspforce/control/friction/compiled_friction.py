@@ -28,6 +28,7 @@ class CompiledFriction:
             "rest_rate": REST_RATE,
             "damping": damping,
             "rate_common": observer.rate_common,
+            "rate_across": observer.rate_across,
             "rate_joint": observer.rate_joint,
             "rate_forgetting": observer.rate_forgetting,
             "kp": kp,

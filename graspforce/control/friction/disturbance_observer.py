@@ -22,7 +22,8 @@ class ObserverTimes:
     """Time constants of the friction observer.
 
     Args:
-        common: time in which the level common to all joints follows, s, greater than 0.
+        common: time in which the level common to all joints follows feedback along the planned motion, s, greater than 0.
+        across: time in which the common level follows other feedback, s, greater than 0.
         joint: time in which the difference of one joint from the common level follows, s, greater than 0.
         forgetting: time in which that difference decays during motion, s, greater than 0. Some combinations of joint torques
             only squeeze the object and do not move it; without decay their levels would drift.
@@ -32,11 +33,12 @@ class ObserverTimes:
     """
 
     common: float = 0.05
+    across: float = 0.25
     joint: float = 0.3
     forgetting: float = 0.5
 
     def __post_init__(self) -> None:
-        for name in ("common", "joint", "forgetting"):
+        for name in ("common", "across", "joint", "forgetting"):
             set_fields(self, **{name: arrays.check_number(getattr(self, name), name, above=0.0)})
 
 
@@ -46,12 +48,13 @@ class FrictionObserver:
     With the planned direction φ = tanh(v/ε) in place of the sign of the planned rates v, the feedback torque u of the joints,
     and its part u_p along the object's planned motion, the levels c follow
 
-        ċ = φ u/T_joint + r Σ(r φ u_p)/(n T_common) − |φ| (c − r c̄)/T_forgetting,    0 ≤ c ≤ c_max,
+        ċ = φ u/T_joint + r Σ r φ (u_p/T_common + (u − u_p)/T_across)/n − |φ| (c − r c̄)/T_forgetting,    0 ≤ c ≤ c_max,
 
     where r is the expected share of each joint and c̄ the common level. Too little compensation leaves a tracking error along
     the motion, whose feedback torque raises the level. Near the planned motion the first two terms lower the Lyapunov function
-    of adaptive control. The common level is fast. Hence it does not follow errors across the motion, such as an orientation
-    that static friction holds: they would raise it in one direction of the motion and lower it in the other.
+    of adaptive control. Errors across the motion are due to friction, too, but static friction can also hold a wrong
+    orientation, whose feedback raises the level in one direction of the motion and lowers it in the other. The level follows
+    them more slowly than the motion reverses.
 
     Source: Slotine and Li (1987), section 3, with the regressor of Coulomb friction along the planned motion.
 
@@ -63,13 +66,13 @@ class FrictionObserver:
 
     Attributes:
         share, largest: as given.
-        rate_common, rate_joint, rate_forgetting: period divided by the time constants.
+        rate_common, rate_across, rate_joint, rate_forgetting: period divided by the time constants.
     """
 
     def __init__(self, share: Array, largest: Array, times: ObserverTimes, period: float) -> None:
         self.share, self.largest = share, largest
-        self.rate_common, self.rate_joint, self.rate_forgetting = (
-            period / each for each in (times.common, times.joint, times.forgetting)
+        self.rate_common, self.rate_across, self.rate_joint, self.rate_forgetting = (
+            period / each for each in (times.common, times.across, times.joint, times.forgetting)
         )
 
     def step(self, level: Array, direction: Array, feedback_torque: Array, along: Array | None = None) -> Array:
@@ -82,10 +85,11 @@ class FrictionObserver:
             along: (n,) u_p, its part along the object's planned motion, N·m. Default: all of it.
         """
         drive = direction * feedback_torque  # N·m, positive if the joints lag
-        common_drive = drive if along is None else direction * along  # N·m
+        part = drive if along is None else direction * along  # N·m, of the drive along the planned motion
+        common_drive = float(self.share @ (self.rate_common * part + self.rate_across * (drive - part)))  # N·m
         active = max(int(np.count_nonzero(feedback_torque)), 1)
         mean = float(level @ self.share) / float(self.share @ self.share)  # N·m
-        change = self.rate_joint * drive + self.share * (self.rate_common * float(self.share @ common_drive) / active)
+        change = self.rate_joint * drive + self.share * (common_drive / active)
         change -= self.rate_forgetting * np.abs(direction) * (level - self.share * mean)
         return freeze(np.minimum(np.maximum(level + change, 0.0), self.largest))
 

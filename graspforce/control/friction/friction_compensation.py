@@ -116,7 +116,8 @@ class FrictionSettings:
         if "model" in given:
             given["model"] = JointFriction.from_dict(given["model"], f"{field}.model")
         if "times" in given:
-            times = fields.check_record(given["times"], f"{field}.times", optional=("common", "joint", "forgetting"))
+            names = [each.name for each in dataclasses.fields(ObserverTimes)]
+            times = fields.check_record(given["times"], f"{field}.times", optional=names)
             try:
                 given["times"] = ObserverTimes(**times)
             except InvalidInput as error:

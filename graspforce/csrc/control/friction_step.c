@@ -117,10 +117,11 @@ static void gf_observe_friction(const gf_friction *friction, const double *direc
     for (int k = 0; k < n; k++) {
         along += level[k] * share[k];
         square += share[k] * share[k];
-        drive += share[k] * direction[k] * torque[n + k];
+        drive += share[k] * direction[k] *
+                 (friction->rate_common[0] * torque[n + k] + friction->rate_across[0] * (torque[k] - torque[n + k]));
         active += torque[k] != 0.0;
     }
-    const double mean = along / square, common = friction->rate_common[0] * drive / (active > 0 ? active : 1);
+    const double mean = along / square, common = drive / (active > 0 ? active : 1);
     for (int k = 0; k < n; k++) {
         const double change = friction->rate_joint[0] * direction[k] * torque[k] + share[k] * common -
                               friction->rate_forgetting[0] * fabs(direction[k]) * (level[k] - share[k] * mean);

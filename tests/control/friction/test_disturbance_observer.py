@@ -50,11 +50,11 @@ def test_levels_of_single_joints_approach_the_truth() -> None:
 
 
 @given(st.lists(torques, min_size=N, max_size=N), st.lists(st.floats(-1.0, 1.0), min_size=N, max_size=N))
-def test_common_level_follows_the_feedback_along_the_plan_only(u: list[float], phi: list[float]) -> None:
-    """Feedback across the plan changes single joints alone, as if the common level had an infinite time constant."""
+def test_common_level_has_its_own_time_for_feedback_across_the_plan(u: list[float], phi: list[float]) -> None:
     level, direction, across = np.array([0.1, 0.05, 0.2]), np.array(phi), np.array(u)
-    expected = make_observer(common=1e15).step(level, direction, across)
-    np.testing.assert_allclose(make_observer().step(level, direction, across, np.zeros(N)), expected, rtol=0, atol=1e-15)
+    expected = make_observer(common=0.4).step(level, direction, across)
+    computed = make_observer(across=0.4).step(level, direction, across, np.zeros(N))
+    np.testing.assert_allclose(computed, expected, rtol=0, atol=1e-15)
     along = make_observer().step(level, direction, across, across)
     np.testing.assert_array_equal(along, make_observer().step(level, direction, across))
 

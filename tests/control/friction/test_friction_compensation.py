@@ -138,8 +138,8 @@ def test_feedback_along_the_plan_is_its_part_in_the_objects_mass_metric(name: st
             np.testing.assert_allclose(planned.along, share * planned.feedback, rtol=0, atol=1e-9 * size)
 
 
-def test_standing_error_across_the_plan_is_not_taken_for_common_friction() -> None:
-    """While static friction holds a wrong orientation, the levels do not depend on the time in which the common one follows."""
+def test_standing_error_across_the_plan_does_not_act_through_the_fast_common_level() -> None:
+    """While static friction holds a wrong orientation, the levels do not depend on the time for feedback along the plan."""
     grasp, levels = named_grasp("four_finger box"), []
     turned = Rotation.from_rotvec([0.0, 0.1, 0.1]).as_matrix() @ grasp.R_HO
     for common in (0.05, 1e9):

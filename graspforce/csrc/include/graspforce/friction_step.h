@@ -6,7 +6,7 @@
  *     v   = v_d + A⁺ (B V_d − A v_d)
  *     tau = (c + s e^(−(v/v_s)²)) tanh(v/ε) + b v
  *
- * The levels c follow the feedback torque of the joints, their common part only the torque that acts along V_d. The laws are stated
+ * The levels c follow the feedback torque of the joints, their common part mainly the torque that acts along V_d. The laws are stated
  * in friction_compensation.py and disturbance_observer.py in graspforce/control/friction, the reference implementation in Python,
  * which the tests compare with this one.
  *
@@ -29,7 +29,8 @@ extern "C" {
  * smoothing_rate     ε, rad/s
  * rest_rate          the plan is at rest if all planned rates are below it, rad/s
  * damping            of A Aᵀ relative to its mean eigenvalue, for singular contacts
- * rate_common        share of the common level's error that vanishes in a period
+ * rate_common        share of the common level's error that vanishes in a period, from feedback along V_d
+ * rate_across        the same from other feedback
  * rate_joint         the same of the differences between joints
  * rate_forgetting    share of the differences that is forgotten in a period of motion
  * kp, kd             gains on the pose error, 1/s² and 1/s
@@ -43,6 +44,7 @@ extern "C" {
     FIELD(rest_rate, 1)                   \
     FIELD(damping, 1)                     \
     FIELD(rate_common, 1)                 \
+    FIELD(rate_across, 1)                 \
     FIELD(rate_joint, 1)                  \
     FIELD(rate_forgetting, 1)             \
     FIELD(kp, 6)                          \
