@@ -39,11 +39,12 @@ from benchmarks import report_page
 from graspforce.cli.controllers import FACTORIES, REAL_ASSUMPTIONS
 from graspforce.cli.options import parse_object
 from graspforce.contact.motion import BodyMotion
+from graspforce.core.result_file import read_results
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import find_grasp, relax_idle_fingers
 from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
 from graspforce.simulation import Reference, World, linear_reference
-from graspforce.simulation.campaigns.campaign import CampaignFile, Trial, group_failures, run_campaign
+from graspforce.simulation.campaigns.campaign import SCHEMA, CampaignFile, Trial, group_failures, run_campaign
 from graspforce.simulation.campaigns.trial import CampaignSetup, TrialRecord
 from graspforce.simulation.worlds.world_plants import PLANT_NAMES
 
@@ -54,6 +55,7 @@ TRAVEL, PERIOD = (0.005, 0.0, 0.0), 1.0  # m, end to end, and s
 DURATION = 4.0  # s: pushes end before 2.6 s, and times without images before 4 s
 HEAD = ("hand", "object", "worlds", "held", "failed", "of these avoidable")
 PAD_HEAD = ("hand", "object", "hard pads: held", "soft pads: held", "soft pads: full knowledge fails too")
+AGAIN_HEAD = ("hand", "object", "before", "worlds again", "held", "failed, not dropped", "dropped", "of these avoidable")
 FAILURE_HEAD = ("grasp", "result", "first sign", "worlds", "seeds, avoidable", "seeds, full knowledge fails too")
 
 
@@ -72,6 +74,8 @@ def main() -> None:
     parser.add_argument("--hard-pads", action="store_true", help="no torsional friction of the fingertips in any world")
     parser.add_argument("--results", type=Path, default=Path("out/campaign.jsonl"), help="file of results, which is continued")
     parser.add_argument("--slice", type=float, help="stop after this time, s (default: run to the end)")
+    parser.add_argument("--failed-in", type=Path, help="run only the worlds that failed in these results")
+    parser.add_argument("--again", type=Path, help="results of the same worlds with a later controller: adds a comparison")
     parser.add_argument("--workers", type=int, default=os.cpu_count(), help="number of processes")
     options = parser.parse_args()
     conditions: dict[str, object] = {"duration": DURATION, "travel": list(TRAVEL), "period": PERIOD, "plant": options.plant}
@@ -80,11 +84,24 @@ def main() -> None:
     objects = [OBJECTS[name] for name in options.objects]
     seeds = range(options.first, options.first + options.worlds)
     trials = [(f"{hand} {objects[seed % len(objects)]}", seed) for seed in seeds for hand in options.hands]
+    if options.failed_in is not None:
+        failed = {trial for trial, record in read_trials(options.failed_in).items() if not record.controller.is_held}
+        trials = [trial for trial in trials if trial in failed]
     with CampaignFile(options.results, conditions) as file:
         run_missing(file, trials, options)
     chosen = set(trials)
     records = [record for record in file.records if (record.grasp, record.seed) in chosen]
     report(records, len(trials), options)
+
+
+def read_trials(path: Path) -> dict[Trial, TrialRecord]:
+    """Return the worlds of a file of results.
+
+    Args:
+        path: the file.
+    """
+    records = [TrialRecord.from_dict(each) for each in read_results(path, SCHEMA)[1]]
+    return {(record.grasp, record.seed): record for record in records}
 
 
 def run_missing(file: CampaignFile, trials: list[Trial], options: argparse.Namespace) -> None:
@@ -176,8 +193,13 @@ def report(records: list[TrialRecord], total: int, options: argparse.Namespace) 
     report_page.show("Failures", FAILURE_HEAD, failures, width=160)
     state = f"{len(records)} of {total} runs."
     print(state)
+    again = [] if options.again is None else again_rows(records, read_trials(options.again))
+    if again:
+        report_page.show("Again with the present controller", AGAIN_HEAD, again)
     if options.save is not None:
         tables = [state, report_page.table(HEAD, rows, 2), "## Pads", report_page.table(PAD_HEAD, pads, 2)]
+        if again:
+            tables += ["## Again with the present controller", report_page.table(AGAIN_HEAD, again, 3)]
         if failures:
             tables += ["## Failures", report_page.table(FAILURE_HEAD, failures, 3)]
         report_page.save(options.save, title, __doc__, report_page.facts(f"MuJoCo {mujoco.__version__}"), "\n\n".join(tables))
@@ -215,6 +237,27 @@ def pad_rows(records: list[TrialRecord]) -> list[tuple[str, ...]]:
         hopeless = sum(each.exact is not None and not each.exact.is_held for each in soft)
         hand, _, name = label.partition(" ")
         rows.append((hand, object_name(name), *held, str(hopeless)))
+    return rows
+
+
+def again_rows(records: list[TrialRecord], again: dict[Trial, TrialRecord]) -> list[tuple[str, ...]]:
+    """Return for each grasp, and for all, what became of the worlds that ran again, by whether the object was held before.
+
+    Args:
+        records: the worlds before.
+        again: the worlds that ran again.
+    """
+    rows = []
+    for label in [*sorted({record.grasp for record in records}), ""]:
+        for was_held in (True, False):
+            own = [each for each in records if label in ("", each.grasp) and each.controller.is_held == was_held]
+            now = [again[each.grasp, each.seed] for each in own if (each.grasp, each.seed) in again]
+            held = sum(each.controller.is_held for each in now)
+            dropped = [each for each in now if each.controller.result == "dropped"]
+            avoidable = sum(each.exact is not None and each.exact.is_held for each in dropped)
+            hand, _, name = label.partition(" ")
+            counts = (len(now), held, len(now) - held - len(dropped), len(dropped), avoidable)
+            rows.append((hand or "all", object_name(name), "held" if was_held else "failed", *map(str, counts)))
     return rows
 
 
