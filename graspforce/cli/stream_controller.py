@@ -112,7 +112,7 @@ class PhaseStreamController:
         """
         command = self._stream.step(measurement, wait=self._stream.setup.validity)
         if command.phase != self.phase:
-            is_aborted = command.phase == "stopped"
+            is_aborted = command.phase in ("stopped", "reopen")
             reason = command.message.partition(": ")[2] if is_aborted else PHASE_RULES[self.phase].exit
             ended = PhaseRecord(self.phase, self._start, command.t, reason, is_aborted, self.plan.grasp)
             self.records, self._start, self.phase = (*self.records, ended), command.t, command.phase

@@ -1,4 +1,4 @@
-"""The phases in which the fingers move alone: approach, retract, and the safe stop that keeps the posture."""
+"""The phases in which the fingers move alone: approach, retract, reopen, and the safe stop that keeps the posture."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import numpy as np
 
 from graspforce.control.joints.joint_command import JointMotion
 from graspforce.control.joints.joint_trajectory import JointTrajectory
-from graspforce.control.phases.cycle_plan import BaseMotion
+from graspforce.control.phases.cycle_plan import BaseMotion, base_motion, move_time
 from graspforce.control.phases.finger_servo import FingerServo, ServoMemory
+from graspforce.control.phases.motion_profile import MotionProfile
 from graspforce.control.phases.phase_rules import NOT_REACHED
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.phases.phase_step import PhaseTorques
@@ -56,6 +57,35 @@ class JointPhase:
         is_over = self._settled >= self._settings.settling_time
         late = t > end + _PATIENCE and not is_near
         return PhaseTorques(servo[0].tau, servo, self._base, is_over, NOT_REACHED if late else "")
+
+
+class ReopenPhase:
+    """The fingers open, then the hand's base moves over the object.
+
+    Args:
+        opening: the phase in which the fingers open.
+        displacement: (3,) of the base, m.
+    """
+
+    def __init__(self, opening: JointPhase, displacement: Array) -> None:
+        self._opening, self._displacement = opening, displacement
+        self._profile = MotionProfile.least_jerk(move_time(displacement))
+        self._opened: float | None = None  # s
+
+    def step(self, t: float, measurement: Measurement, memory: ServoMemory) -> PhaseTorques:
+        """Return the torques of a period; see `JointPhase.step`.
+
+        Args:
+            t: time since the start of the phase, s.
+            measurement: the newest measurement.
+            memory: memory of the servo.
+        """
+        result = self._opening.step(t, measurement, memory)
+        if self._opened is None:
+            self._opened = t if result.is_over else None
+            return result._replace(is_over=False)
+        base = base_motion(result.base.p, self._displacement, self._profile, t - self._opened)
+        return result._replace(base=base, is_over=t - self._opened >= self._profile.duration)
 
 
 class HoldJoints:

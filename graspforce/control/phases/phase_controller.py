@@ -14,9 +14,9 @@ from graspforce.control.phases.close_phase import ClosePhase
 from graspforce.control.phases.contact_detector import ContactDetector
 from graspforce.control.phases.cycle_plan import BaseMotion, CyclePlan
 from graspforce.control.phases.finger_servo import FingerServo, ServoMemory, ServoStep
-from graspforce.control.phases.joint_phases import HoldJoints, JointPhase
+from graspforce.control.phases.joint_phases import HoldJoints, JointPhase, ReopenPhase
 from graspforce.control.phases.object_phases import CarryPhase, HeldObject, HoldObject, SqueezePhase
-from graspforce.control.phases.phase_rules import PAUSED, PHASE_ORDER, PHASE_RULES, TIME_LIMIT, WRONG_OBJECT, PhaseName
+from graspforce.control.phases.phase_rules import PAUSED, PHASE_ORDER, PHASE_RULES, RETRIED, TIME_LIMIT, WRONG_OBJECT, PhaseName
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.phases.phase_step import FeedbackController, PhaseCommand, PhaseRecord, PhaseTorques
 from graspforce.control.phases.release_phase import ReleasePhase
@@ -28,7 +28,7 @@ from graspforce.estimation.sensor_model import SensorModel
 from graspforce.grasp.grasp import Grasp
 
 ControllerFactory = Callable[[Grasp], FeedbackController]
-_Phase = JointPhase | ClosePhase | SqueezePhase | CarryPhase | ReleasePhase | HoldJoints | HoldObject
+_Phase = JointPhase | ClosePhase | SqueezePhase | CarryPhase | ReleasePhase | ReopenPhase | HoldJoints | HoldObject
 
 _APPROACH_FORCE = 20.0  # N: bound of the feedback of each finger while it moves alone
 _STOP_FORCE = 2.0  # N: bound of the feedback of each finger that keeps its place after an abort
@@ -40,6 +40,8 @@ _DONE = frozenset(("done", "stopped"))
 
 class PhaseController:
     """Controller of a grasp cycle: approach, close, squeeze, lift, move, place, release, retract. Call `step` each period.
+
+    If the touched places do not fit the object, or the squeeze fails, the fingers open and close again.
 
     Args:
         plan: the plan.
@@ -91,6 +93,7 @@ class PhaseController:
         self._start: float | None = None
         self._phase_start = self._last = 0.0
         self._message = self._request = ""
+        self._attempts = 1
 
     @property
     def is_over(self) -> bool:
@@ -125,7 +128,7 @@ class PhaseController:
             if not abort and not result.is_over and t - self._phase_start > PHASE_RULES[phase].time_limit:
                 abort = TIME_LIMIT
             if abort:
-                self._stop(t, abort, servo.q, result.base)
+                self._fail(t, abort, servo, result.base)
             elif result.is_over:
                 self._advance(t, servo, result.base)
         self._base = result.base
@@ -145,10 +148,10 @@ class PhaseController:
         """End the present phase and begin the next one."""
         ended = self.phase
         if ended == "close" and not self._touch(servo):
-            self._stop(t, WRONG_OBJECT, servo.q, base)
+            self._fail(t, WRONG_OBJECT, servo, base)
             return
         self._record(t, PHASE_RULES[ended].exit, False)
-        following = PHASE_ORDER.index(ended) + 1
+        following = 1 if ended == "reopen" else PHASE_ORDER.index(ended) + 1
         self.phase = PHASE_ORDER[following] if following < len(PHASE_ORDER) else "done"
         self._phase_start = t
         rest = BaseMotion.at_rest(base.p)
@@ -156,6 +159,7 @@ class PhaseController:
             self._held = self._active.target.held()  # the table has decided where the object is
         plan, held = self.plan, self._held
         if self.phase == "close":
+            self._message = ""
             self._active = self._closing = ClosePhase(self._servo, self._detector, plan, self.settings, rest)
         elif self.phase == "retract":
             self._active = self._joint_phase(self._retraction(servo.q), rest)
@@ -190,6 +194,23 @@ class PhaseController:
         self._held = HeldObject(self.grasp, controller, self._servo, plan.gravity_H, self.settings, gaps)
         return True
 
+    def _fail(self, t: float, reason: str, servo: ServoStep, base: BaseMotion) -> None:
+        """Open the fingers for the next attempt, or stop the cycle."""
+        if self._request or (self.phase, reason) not in RETRIED or self._attempts == self.settings.attempts:
+            self._stop(t, reason, servo.q, base)
+            return
+        self._attempts += 1
+        self._message = f"{self.phase}: {reason}"
+        self._record(t, reason, True)
+        shift = np.zeros(3)
+        if isinstance(self._active, SqueezePhase):  # the touched places fit the object, so they show where it is
+            shift = self._active.target.pose.p_HO - self.plan.grasp.p_HO
+            shift = shift - (shift @ self.plan.down) * self.plan.down
+        self.phase, self._phase_start, self.grasp = "reopen", t, self.plan.grasp
+        self._held = self._closing = None
+        motion = JointTrajectory.between(servo.q, self.plan.q_pregrasp, self._opening_time(servo.q))
+        self._active = ReopenPhase(self._joint_phase(motion, BaseMotion.at_rest(base.p)), shift)
+
     def _stop(self, t: float, reason: str, q: Array, base: BaseMotion) -> None:
         """End the cycle with the safe stop of the present phase, at the present posture and motion of the base."""
         rule = PHASE_RULES[self.phase]
@@ -205,8 +226,12 @@ class PhaseController:
     def _retraction(self, q: Array) -> JointTrajectory:
         """Return the motion from a posture to the pre-grasp posture and back along the approach."""
         plan = self.plan
-        duration = max(float(np.abs(plan.q_pregrasp - q).max()) / _RETRACT_SPEED, _LEAST_RETRACT_TIME)
-        return JointTrajectory.between(q, plan.q_pregrasp, duration).followed_by(plan.approach.reversed())
+        opening = JointTrajectory.between(q, plan.q_pregrasp, self._opening_time(q))
+        return opening.followed_by(plan.approach.reversed())
+
+    def _opening_time(self, q: Array) -> float:
+        """Return the time of the motion from a posture to the pre-grasp posture, s."""
+        return max(float(np.abs(self.plan.q_pregrasp - q).max()) / _RETRACT_SPEED, _LEAST_RETRACT_TIME)
 
     # ── parts ──────────────────────────────────────────────────────────────────────────────────────────────────────────────
 

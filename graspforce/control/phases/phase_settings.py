@@ -7,9 +7,11 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-from graspforce.core import arrays
+from graspforce.core import arrays, fields
 from graspforce.core.records import set_fields
 from graspforce.core.settings_record import SettingsRecord
+
+_MOST_ATTEMPTS = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,9 +37,11 @@ class PhaseSettings(SettingsRecord):
         contact_tolerance: distance of a fingertip from the surface from which its contact counts as lost, m.
         loss_time: time after which a lost contact, a step without forces, or a pause of the measurements ends the cycle, s.
         largest_rate: largest rate of the double pole of the joint loop, rad/s.
+        attempts: number of times that the fingers close on the object, 1 to 10. They open and close again if the touched places
+            do not fit the object, or if the squeeze fails.
 
     Raises:
-        InvalidInput: a value is not greater than 0; names the field.
+        InvalidInput: a value is not greater than 0, or `attempts` is out of range; names the field.
     """
 
     RECORD: ClassVar[str] = "phases"
@@ -58,7 +62,11 @@ class PhaseSettings(SettingsRecord):
     contact_tolerance: float = 4e-3
     loss_time: float = 0.1
     largest_rate: float = 60.0
+    attempts: int = 2
 
     def __post_init__(self) -> None:
+        set_fields(self, attempts=fields.check_integer(self.attempts, "attempts", minimum=1, maximum=_MOST_ATTEMPTS))
         for each in dataclasses.fields(self):
+            if each.name == "attempts":
+                continue
             set_fields(self, **{each.name: arrays.check_number(getattr(self, each.name), each.name, above=0.0)})

@@ -82,7 +82,7 @@ class PhaseCommand:
         touching: (N,) signs of contact of the guarded close, see `ContactSign`; empty for fingers without.
         f_normal: (N,) planned normal forces, N; zero in phases without planned forces.
         slip_margin: least slip margin of the planned forces, N; NaN without planned forces.
-        message: why the cycle has stopped; empty while it runs.
+        message: why the cycle has stopped, or why the fingers open for another attempt; empty otherwise.
         joints: estimated positions, rad, and rates, rad/s, of the joints when the torques act, each (n,).
         drives: map from torques to what the drives take.
     """
@@ -113,7 +113,7 @@ class PhaseRecord:
         start: time of its first step, s.
         end: time of its last step, s.
         reason: exit condition, or reason of the abort.
-        is_aborted: whether the cycle stopped in it.
+        is_aborted: whether it ended by an abort.
         grasp: the grasp as known at its end.
     """
 

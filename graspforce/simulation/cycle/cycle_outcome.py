@@ -166,7 +166,7 @@ def phase_table(recording: CycleRecording) -> Table:
                 f"{travel:.2f}",
                 "" if np.isnan(margin).all() else f"{np.nanmin(margin):.2f}",
                 f"{recording.table_force[k[-1]]:.2f}",
-                f"stopped: {record.reason}" if record.is_aborted else record.reason,
+                f"aborted: {record.reason}" if record.is_aborted else record.reason,
             )
         )
     header = ("phase", "s", "peak N", "planned", "object mm", "margin", "table N", "ends with")
@@ -174,10 +174,10 @@ def phase_table(recording: CycleRecording) -> Table:
 
 
 def _planned_move(recording: CycleRecording) -> Array:
-    """Return the displacement of the base along the table at the end, (3,), m."""
-    down = recording.scene.down
-    end = recording.base[-1]
-    return np.asarray(end - (end @ down) * down)
+    """Return the displacement of the base along the table since the start of the lift, (3,), m; zero without a lift."""
+    down, lift = recording.scene.down, recording.steps_of("lift")
+    way = recording.base[-1] - recording.base[lift[0]] if len(lift) else np.zeros(3)
+    return np.asarray(way - (way @ down) * down)
 
 
 def _angle(R: Array, other: Array) -> float:

@@ -32,6 +32,7 @@ from graspforce.simulation.cycle.table_scene import TableScene, find_table_grasp
 SeedCallback = Callable[[int, str], None]
 
 _SEEDS = 16  # grasps that are tried
+_EDGE_RATIOS = (1.0, 0.4)  # least distances of contacts from edges over the tip radius, each for half of the seeds
 _OPEN_DISTANCE = 0.05  # m: distance of the fingertips from the contacts in the start posture
 _LEAST_CLEARANCE = 0.0005  # m, of links, palm, object and table
 _STANDOFF_SHARES = (1.0, 1.25, 1.5, 0.85, 0.7)  # of the stand-off distance, that are tried in turn
@@ -183,6 +184,8 @@ def find_cycle(
 ) -> tuple[TableScene, CyclePlan]:
     """Find a grasp of an object on a table, and plan its cycle: the first of some seeds of `find_grasp` that allows one.
 
+    The first half of the seeds keeps contacts a tip radius from the edges of the object's faces, the others 40 % of it.
+
     Args:
         hand: the hand.
         body: the object.
@@ -201,9 +204,10 @@ def find_cycle(
     """
     check_size(hand, body, friction)
     fault = ""
-    for each in range(seed, seed + _SEEDS):
+    for k in range(_SEEDS):
+        each, ratio = seed + k, _EDGE_RATIOS[k * len(_EDGE_RATIOS) // _SEEDS]
         try:
-            scene = find_table_grasp(hand, body, fingers, friction=friction, seed=each)
+            scene = find_table_grasp(hand, body, fingers, friction=friction, seed=each, edge_ratio=ratio)
             check_weight(scene.grasp, replace(control or ControlSettings(), gravity_H=scene.gravity_H))
             plan = plan_cycle(scene, settings, motion)
         except InvalidInput as error:

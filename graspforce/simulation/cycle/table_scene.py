@@ -99,7 +99,13 @@ def scene_on_table(grasp: Grasp) -> TableScene:
 
 
 def find_table_grasp(
-    hand: Hand, body: Body, fingers: Sequence[str] | None = None, *, friction: float = 0.6, seed: int = 0
+    hand: Hand,
+    body: Body,
+    fingers: Sequence[str] | None = None,
+    *,
+    friction: float = 0.6,
+    seed: int = 0,
+    edge_ratio: float = 1.0,
 ) -> TableScene:
     """Find a grasp of an object on a table, with a search whose hand stays above the table.
 
@@ -112,12 +118,14 @@ def find_table_grasp(
         fingers: as in `find_grasp`.
         friction: coefficient of friction.
         seed: of the search.
+        edge_ratio: least distance of a contact from the edge of its face, divided by the tip radius: a finger should touch the
+            face although the object is not quite where it is expected.
 
     Raises:
         InvalidInput: no grasp is found, or the hand in it is nearer to the table than 5 mm.
     """
     faces = rest_faces(body.shape)
-    options = GraspSearchOptions(up_O=-faces[seed % len(faces)][0])
+    options = GraspSearchOptions(up_O=-faces[seed % len(faces)][0], edge_ratio=edge_ratio)
     scene = scene_on_table(find_grasp(hand, body, fingers, friction=friction, seed=seed, options=options))
     if scene.clearance < LEAST_CLEARANCE:
         found = f"a grasp with {1e3 * scene.clearance:.1f} mm between hand and table"
