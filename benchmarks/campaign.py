@@ -45,7 +45,7 @@ from graspforce.grasp.search import find_grasp, relax_idle_fingers
 from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
 from graspforce.simulation import Reference, World, linear_reference
 from graspforce.simulation.campaigns.campaign import SCHEMA, CampaignFile, Trial, group_failures, run_campaign
-from graspforce.simulation.campaigns.trial import CampaignSetup, TrialRecord
+from graspforce.simulation.campaigns.trial import COMPARISONS, CampaignSetup, TrialRecord
 from graspforce.simulation.worlds.world_plants import PLANT_NAMES
 
 TITLE = "A campaign of random worlds"
@@ -74,6 +74,7 @@ def main() -> None:
     parser.add_argument("--hard-pads", action="store_true", help="no torsional friction of the fingertips in any world")
     parser.add_argument("--results", type=Path, default=Path("out/campaign.jsonl"), help="file of results, which is continued")
     parser.add_argument("--slice", type=float, help="stop after this time, s (default: run to the end)")
+    parser.add_argument("--full-knowledge", default="failures", choices=COMPARISONS, help="worlds in which it runs, too")
     parser.add_argument("--failed-in", type=Path, help="run only the worlds that failed in these results")
     parser.add_argument("--again", type=Path, help="results of the same worlds with a later controller: adds a comparison")
     parser.add_argument("--workers", type=int, default=os.cpu_count(), help="number of processes")
@@ -127,6 +128,7 @@ def run_missing(file: CampaignFile, trials: list[Trial], options: argparse.Names
             settings=REAL_ASSUMPTIONS.settings(GRAVITY_PALM_UP),
             draw=draw_hard if options.hard_pads else World.real,
             plant=options.plant,
+            comparison=options.full_knowledge,
         )
 
         def add(record: TrialRecord) -> None:
@@ -243,6 +245,8 @@ def pad_rows(records: list[TrialRecord]) -> list[tuple[str, ...]]:
 def again_rows(records: list[TrialRecord], again: dict[Trial, TrialRecord]) -> list[tuple[str, ...]]:
     """Return for each grasp, and for all, what became of the worlds that ran again, by whether the object was held before.
 
+    A drop is avoidable unless a controller with full knowledge fails in the same world, in either of both runs.
+
     Args:
         records: the worlds before.
         again: the worlds that ran again.
@@ -251,10 +255,11 @@ def again_rows(records: list[TrialRecord], again: dict[Trial, TrialRecord]) -> l
     for label in [*sorted({record.grasp for record in records}), ""]:
         for was_held in (True, False):
             own = [each for each in records if label in ("", each.grasp) and each.controller.is_held == was_held]
-            now = [again[each.grasp, each.seed] for each in own if (each.grasp, each.seed) in again]
+            pairs = [(each, again[each.grasp, each.seed]) for each in own if (each.grasp, each.seed) in again]
+            now = [each for _, each in pairs]
             held = sum(each.controller.is_held for each in now)
-            dropped = [each for each in now if each.controller.result == "dropped"]
-            avoidable = sum(each.exact is not None and each.exact.is_held for each in dropped)
+            dropped = [(each.exact or before.exact) for before, each in pairs if each.controller.result == "dropped"]
+            avoidable = sum(exact is None or exact.is_held for exact in dropped)
             hand, _, name = label.partition(" ")
             counts = (len(now), held, len(now) - held - len(dropped), len(dropped), avoidable)
             rows.append((hand or "all", object_name(name), "held" if was_held else "failed", *map(str, counts)))
