@@ -21,6 +21,7 @@ from graspforce.hand.hand import Hand
 
 _MOVE_SPEED = 0.1  # m/s: mean speed of the base
 _LEAST_MOVE_TIME = 0.3  # s
+_SLOW_DISTANCE, _TOUCHDOWN_SPEED = 0.01, 0.03  # m, end of the way to the table, and largest speed in it, m/s
 _VECTORS = {"gravity": "gravity_H", "pregrasp": "q_pregrasp", "standoff": "standoff", "lift": "lift", "move": "move"}
 _REQUIRED = ("hold", "gravity", "pregrasp", "standoff", "approach")  # fields of the record
 
@@ -61,7 +62,8 @@ class CyclePlan:
         approach: motion from the start posture to `q_pregrasp`, from rest to rest.
         lift: (3,) displacement of the base that lifts the object, in H, m.
         move: (3,) displacement of the base from there to above the goal, in H, m.
-        profiles: time profiles of the base. Default: least jerk, with a mean speed of 0.1 m/s and at least 0.3 s.
+        profiles: time profiles of the base. Default: least jerk, with a mean speed of 0.1 m/s and at least 0.3 s; the last
+            10 mm to the table with 30 mm/s at most, because the object may hang lower than the hand knows.
 
     Raises:
         InvalidInput: a value is not finite or of the wrong shape, or gravity is zero.
@@ -113,11 +115,11 @@ class CyclePlan:
 
     @property
     def carry_profiles(self) -> CarryProfiles:
-        """Time profiles of the base: those of the plan, or those of least jerk."""
+        """Time profiles of the base: those of the plan, or the default ones."""
         if self.profiles is not None:
             return self.profiles
         lift, move = (MotionProfile.least_jerk(move_time(each)) for each in (self.lift, self.move))
-        return CarryProfiles(lift, move, lift)
+        return CarryProfiles(lift, move, place_profile(float(np.linalg.norm(self.lift))))
 
     def to_dict(self) -> JsonRecord:
         """Return a plain record: `hold`, the grasp; `gravity`, `pregrasp`, `standoff`, `approach`, `lift`, `move`, `profiles`.
@@ -164,6 +166,20 @@ def move_time(displacement: Array) -> float:
         displacement: (3,) m.
     """
     return max(float(np.linalg.norm(displacement)) / _MOVE_SPEED, _LEAST_MOVE_TIME)
+
+
+def place_profile(distance: float) -> MotionProfile:
+    """Return the time profile of a motion down to the table, whose last 10 mm are slow.
+
+    Args:
+        distance: of the whole motion, m.
+    """
+    slow = 2.0 * _SLOW_DISTANCE / _TOUCHDOWN_SPEED  # s
+    if distance <= 2.0 * _SLOW_DISTANCE:
+        return MotionProfile.least_jerk(max(2.0 * distance / _TOUCHDOWN_SPEED, _LEAST_MOVE_TIME))
+    fast = max((distance - _SLOW_DISTANCE) / _MOVE_SPEED, _LEAST_MOVE_TIME)  # s
+    share, rate = 1.0 - _SLOW_DISTANCE / distance, _TOUCHDOWN_SPEED / distance
+    return MotionProfile([0.0, fast, fast + slow], [0.0, share, 1.0], [0.0, rate, 0.0], np.zeros(3))
 
 
 def base_motion(start: Array, displacement: Array, profile: MotionProfile, t: float) -> BaseMotion:

@@ -25,6 +25,8 @@ from graspforce.grasp.grasp import Grasp
 
 _DECELERATION = 1.0  # m/s², of the base in a safe stop
 _FASTEST_TIP = 0.03  # m/s: speed along its inward normal of a fingertip that does not touch
+_RISE_AT_TOUCH = 5e-4  # m: rise of the object in the hand that shows the table; estimates scatter less
+_TOUCH_DISTANCE = 0.015  # m: way of the base before its end on which the object may meet the table
 _YIELD_TIME = 0.05  # s: lag with which the target of an object on the table follows its estimated pose
 
 
@@ -198,6 +200,9 @@ class SqueezePhase:
 class CarryPhase:
     """The base moves with the held object; the object keeps its pose in H.
 
+    An object that hangs lower than planned, or is turned, meets the table before the base is at its end. It rises in the hand
+    then, and its target follows, so that the hand does not press it down.
+
     Args:
         held: the object.
         start: (3,) displacement of the base at the start, m.
@@ -213,7 +218,9 @@ class CarryPhase:
         self, held: HeldObject, start: Array, displacement: Array, profile: MotionProfile, lowers: bool = False
     ) -> None:
         self._held, self._start, self._displacement, self._lowers = held, start, displacement, lowers
-        self._profile = profile
+        self._profile, self._is_on_table = profile, False
+        self._down = held.gravity_H / float(np.linalg.norm(held.gravity_H))
+        self._lowest = -math.inf  # m: lowest place of the object in the hand so far, along gravity
         self._watch, self.target = GraspWatch(held), YieldingTarget(held)
 
     def step(self, t: float, measurement: Measurement, memory: ServoMemory) -> PhaseTorques:
@@ -232,10 +239,20 @@ class CarryPhase:
             table = minimum_jerk(max(t - end, 0.0), settings.transfer_time)[0]
             end += settings.transfer_time
         servo = held.servo.observe(memory, measurement)
-        is_on_table = self._lowers and t >= duration
-        command = held.step(measurement, table, base, self.target.advance() if is_on_table else None)
+        self._is_on_table = self._is_on_table or (self._lowers and (t >= duration or self._touches_table(t)))
+        command = held.step(measurement, table, base, self.target.advance() if self._is_on_table else None)
         tau = held.torque(command, servo[0].q, base)
         return PhaseTorques(tau, servo, base, t >= end, self._watch.abort_reason(command), command, 1.0)
+
+    def _touches_table(self, t: float) -> bool:
+        """Return whether the table has pushed the object up in the hand."""
+        estimate = getattr(self._held.controller, "estimate", None)
+        if estimate is None:
+            return False
+        place = float(estimate.object.p_HO @ self._down)  # m
+        self._lowest = max(self._lowest, place)
+        left = (1.0 - self._profile(t)[0]) * float(np.linalg.norm(self._displacement))  # m
+        return left < _TOUCH_DISTANCE and place < self._lowest - _RISE_AT_TOUCH
 
 
 class HoldObject:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from graspforce.control.phases.cycle_plan import CyclePlan, base_motion
+from graspforce.control.phases.cycle_plan import CyclePlan, base_motion, place_profile
 from graspforce.control.phases.motion_profile import CarryProfiles, MotionProfile
 from graspforce.core.errors import InvalidInput
 from graspforce.geometry.minimum_jerk import minimum_jerk
@@ -54,10 +54,25 @@ def test_plan_with_profiles_survives_json():
     assert again.carry_profiles.place.duration == 0.3
 
 
+@pytest.mark.parametrize("distance", [0.0, 0.005, 0.02, 0.021, 0.05, 0.3])
+def test_way_to_the_table_ends_slowly_and_never_goes_back(distance):
+    """The last 10 mm of a lift have at most 30 mm/s, which a quintic polynomial from that speed to rest never exceeds.
+
+    A short way has a peak of 15/8 of its mean speed.
+    """
+    profile = place_profile(distance)
+    s, rate, _ = profile.sample(np.linspace(0.0, profile.duration, 2001))
+    assert (rate >= -1e-9).all()
+    near = distance * (1.0 - s) <= 0.01
+    largest = 0.03 if distance > 0.02 else 0.03 * 15.0 / 16.0
+    assert distance * rate[near].max() <= largest * (1.0 + 1e-6)
+    assert profile.duration >= 0.3  # s
+
+
 def test_plan_without_profiles_moves_with_least_jerk():
     profiles = plan().carry_profiles
     assert profiles.lift.duration == pytest.approx(0.5)  # 50 mm with 0.1 m/s
-    assert profiles.place.duration == profiles.lift.duration
+    assert profiles.place.duration == pytest.approx(0.4 + 2.0 / 3.0)  # 40 mm with 0.1 m/s, 10 mm with 15 mm/s in the mean
     assert profiles.move.duration == pytest.approx(0.3)  # no displacement
 
 

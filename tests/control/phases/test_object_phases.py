@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from graspforce.control.phases.cycle_plan import BaseMotion
+from graspforce.control.phases.cycle_plan import BaseMotion, place_profile
 from graspforce.control.phases.finger_servo import ServoStep
-from graspforce.control.phases.object_phases import GraspWatch, HeldObject, SqueezePhase
+from graspforce.control.phases.object_phases import CarryPhase, GraspWatch, HeldObject, SqueezePhase
 from graspforce.control.phases.phase_rules import LOST_CONTACT
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.phases.tip_motion import TipMotion
@@ -82,6 +82,48 @@ def test_squeeze_goes_back_while_a_fingertip_runs_towards_the_object():
     again = shares(0.02, 1000)
     assert again[:200] == pytest.approx(rising)
     assert again[-1] == 1.0
+
+
+def touch_target(rise: float, at: float, lowers: bool = True) -> float:
+    """Return how far the target has followed an object that rises in the hand, as a part of its rise.
+
+    Args:
+        rise: of the object, m.
+        at: way of the base before the end of its motion at which it rises, m.
+        lowers: whether the base lowers the object to the table.
+    """
+    scene, lift = ball_scene(), 0.05  # m
+    controller, wanted = RecordingController(), []
+    servo = SimpleNamespace(period=PERIOD, observe=lambda memory, measurement: (SimpleNamespace(q=scene.grasp.q), memory))
+
+    def step(measurement, desired, external=None):
+        wanted.append(desired)
+        return SimpleNamespace(forces_reused=False, tau=np.zeros(16))
+
+    controller.step = step
+    controller.estimate.object = SimpleNamespace(p_HO=scene.grasp.p_HO, R_HO=scene.grasp.R_HO)
+    held = HeldObject(scene.grasp, controller, servo, scene.gravity_H, SETTINGS, np.zeros(3))
+    profile = place_profile(lift)
+    phase = CarryPhase(held, -lift * scene.down, lift * scene.down, profile, lowers)
+    for k in range(round(profile.duration / PERIOD) - 1):
+        if lift * (1.0 - profile(k * PERIOD)[0]) < at:
+            risen = scene.grasp.p_HO - rise * scene.down
+            controller.estimate.object = SimpleNamespace(p_HO=risen, R_HO=scene.grasp.R_HO)
+        phase.step(k * PERIOD, Measurement(k * PERIOD, scene.grasp.q), None)
+    return float((wanted[-1].p_HO - scene.grasp.p_HO) @ -scene.down) / rise
+
+
+def test_target_follows_an_object_that_the_table_pushes_up():
+    """An object that hangs low meets the table early; with a fixed target the hand would press it down."""
+    assert touch_target(2e-3, at=8e-3) == pytest.approx(1.0, abs=1e-3)
+    assert touch_target(2e-3, at=8e-3, lowers=False) == 0.0
+
+
+def test_scatter_and_sinking_of_a_carried_object_are_not_taken_for_the_table():
+    """Estimates scatter by less than 0.5 mm."""
+    assert touch_target(4e-4, at=8e-3) == 0.0
+    for k in range(3):
+        assert touch_target(-2e-3, at=1e-2 * k) == 0.0  # it sinks
 
 
 def test_camera_does_not_move_a_held_object():
