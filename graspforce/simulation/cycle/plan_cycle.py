@@ -31,8 +31,7 @@ from graspforce.simulation.cycle.table_scene import TableScene, find_table_grasp
 
 SeedCallback = Callable[[int, str], None]
 
-_SEEDS = 16  # grasps that are tried
-_EDGE_RATIOS = (1.0, 0.4)  # least distances of contacts from edges over the tip radius, each for half of the seeds
+_TRIES = ((1.0, 8), (0.4, 16))  # least distances of contacts from edges over the tip radius, and seeds that are tried with each
 _OPEN_DISTANCE = 0.05  # m: distance of the fingertips from the contacts in the start posture
 _LEAST_CLEARANCE = 0.0005  # m, of links, palm, object and table
 _STANDOFF_SHARES = (1.0, 1.25, 1.5, 0.85, 0.7)  # of the stand-off distance, that are tried in turn
@@ -184,7 +183,7 @@ def find_cycle(
 ) -> tuple[TableScene, CyclePlan]:
     """Find a grasp of an object on a table, and plan its cycle: the first of some seeds of `find_grasp` that allows one.
 
-    The first half of the seeds keeps contacts a tip radius from the edges of the object's faces, the others 40 % of it.
+    Contacts are at least a tip radius from the edges of the object's faces for 8 seeds, then 40 % of it for 16 seeds.
 
     Args:
         hand: the hand.
@@ -204,8 +203,8 @@ def find_cycle(
     """
     check_size(hand, body, friction)
     fault = ""
-    for k in range(_SEEDS):
-        each, ratio = seed + k, _EDGE_RATIOS[k * len(_EDGE_RATIOS) // _SEEDS]
+    tries = [(seed + k, ratio) for ratio, count in _TRIES for k in range(count)]
+    for each, ratio in tries:
         try:
             scene = find_table_grasp(hand, body, fingers, friction=friction, seed=each, edge_ratio=ratio)
             check_weight(scene.grasp, replace(control or ControlSettings(), gravity_H=scene.gravity_H))
@@ -217,4 +216,5 @@ def find_cycle(
         on_seed(each, "")
         return scene, plan
     name = type(body.shape).__name__
-    raise InvalidInput("body", name, f"an object that {hand.name} can pick from a table; the last of {_SEEDS} grasps: {fault}")
+    allowed = f"an object that {hand.name} can pick from a table; the last of {len(tries)} grasps: {fault}"
+    raise InvalidInput("body", name, allowed)
