@@ -49,8 +49,8 @@ def plot_cycle(recording: CycleRecording) -> Figure:
     height.set_xlabel("time (s)")
     for axes in (forces, load, height):
         axes.grid(alpha=0.25)
-        place = "center right" if axes is load else "upper right"  # clear of the lines
-        axes.legend(loc=place, frameon=False, fontsize=9)
+        corner = "center right" if axes is load else "upper right"  # clear of the lines
+        axes.legend(loc=corner, frameon=False, fontsize=9)
         _mark_phases(axes, recording, names=axes is forces)
     height.set_xlim(0.0, t[-1])
     result = recording.message or "done"
