@@ -16,10 +16,11 @@ separates these worlds; with `--hard-pads` the same worlds have no torsional fri
 The results are in a file, one line for each world, which the next call continues, with the same grasps. So a campaign can be
 run in slices.
 
-The controller's observer of joint friction was changed afterwards. Of the first 5,000 worlds only the 22 in which `dlr_hit2`
-and `four_finger` had failed are with an intermediate one, the others from before. With the present controller every world of
-seeds 0 to 56 ran again, and every world in which the object was not held (`--failed-in`; `records/campaign_again.jsonl`). A
-table compares them. The same world with the same controller gives the same result, to the bit.
+The controller's observer of joint friction was changed afterwards. Of the worlds in the first tables only the 22 in which
+`dlr_hit2` and `four_finger` had failed are with an intermediate one, the others from before. With the present controller every
+world of seeds 0 to 56 ran again, and every world in which the object was not held (`--failed-in`;
+`records/campaign_again.jsonl`). A table compares them. The same world with the same controller gives the same result, to the
+bit.
 
 `graspforce simulate --hand HAND --object OBJECT --travel 0.005,0,0 --duration 4 --world real --world-seed SEED` repeats a run.
 """
