@@ -246,7 +246,7 @@ def pad_rows(records: list[TrialRecord]) -> list[tuple[str, ...]]:
 def again_rows(records: list[TrialRecord], again: dict[Trial, TrialRecord]) -> list[tuple[str, ...]]:
     """Return for each grasp, and for all, what became of the worlds that ran again, by whether the object was held before.
 
-    A drop is avoidable unless a controller with full knowledge fails in the same world, in either of both runs.
+    A drop is avoidable unless a controller with full knowledge fails in the same world, before or again.
 
     Args:
         records: the worlds before.

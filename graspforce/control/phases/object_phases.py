@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -48,6 +48,11 @@ class HeldObject(NamedTuple):
     gravity_H: Array
     settings: PhaseSettings
     gaps: Array
+
+    @property
+    def estimate(self) -> Any:
+        """Estimate of the object controller; None if it has none."""
+        return getattr(self.controller, "estimate", None)
 
     def step(
         self, measurement: Measurement, table_share: float, base: BaseMotion, desired: BodyMotion | None = None
@@ -103,7 +108,7 @@ class YieldingTarget:
 
     def advance(self) -> BodyMotion:
         """Move the target towards the estimated pose, and return it."""
-        estimate = getattr(self._held.controller, "estimate", None)
+        estimate = self._held.estimate
         if estimate is not None:
             p, R = self.pose.p_HO, self.pose.R_HO
             turn = np.array(rotation_log(R.T @ estimate.object.R_HO))
@@ -139,7 +144,7 @@ class GraspWatch:
         """
         period, settings = self._held.servo.period, self._held.settings
         self._without_forces = self._without_forces + period if command.forces_reused else 0.0
-        gap = getattr(getattr(self._held.controller, "estimate", None), "gap", None)
+        gap = getattr(self._held.estimate, "gap", None)
         is_apart = gap is not None and bool((np.asarray(gap) > self._largest_gap).any())
         self._apart = self._apart + period if is_apart else 0.0
         if self._without_forces > settings.loss_time:
@@ -246,7 +251,7 @@ class CarryPhase:
 
     def _touches_table(self, t: float) -> bool:
         """Return whether the table has pushed the object up in the hand."""
-        estimate = getattr(self._held.controller, "estimate", None)
+        estimate = self._held.estimate
         if estimate is None:
             return False
         place = float(estimate.object.p_HO @ self._down)  # m
@@ -269,7 +274,7 @@ class HoldObject:
     @staticmethod
     def _present_pose(held: HeldObject) -> BodyMotion:
         """Return the pose of the object as estimated; that of the grasp without an estimate."""
-        estimate = getattr(held.controller, "estimate", None)
+        estimate = held.estimate
         if estimate is None:
             return BodyMotion(held.grasp.p_HO, held.grasp.R_HO)
         return BodyMotion(estimate.object.p_HO, estimate.object.R_HO)

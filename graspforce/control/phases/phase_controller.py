@@ -93,7 +93,6 @@ class PhaseController:
         self._start: float | None = None
         self._phase_start = self._last = 0.0
         self._message = self._request = ""
-        self._attempts = 1
 
     @property
     def is_over(self) -> bool:
@@ -196,10 +195,10 @@ class PhaseController:
 
     def _fail(self, t: float, reason: str, servo: ServoStep, base: BaseMotion) -> None:
         """Open the fingers for the next attempt, or stop the cycle."""
-        if self._request or (self.phase, reason) not in RETRIED or self._attempts == self.settings.attempts:
+        attempts = 1 + sum(record.phase == "reopen" for record in self.records)
+        if self._request or (self.phase, reason) not in RETRIED or attempts == self.settings.attempts:
             self._stop(t, reason, servo.q, base)
             return
-        self._attempts += 1
         self._message = f"{self.phase}: {reason}"
         self._record(t, reason, True)
         shift = np.zeros(3)

@@ -65,8 +65,6 @@ class PhaseSettings(SettingsRecord):
     attempts: int = 2
 
     def __post_init__(self) -> None:
-        set_fields(self, attempts=fields.check_integer(self.attempts, "attempts", minimum=1, maximum=_MOST_ATTEMPTS))
-        for each in dataclasses.fields(self):
-            if each.name == "attempts":
-                continue
-            set_fields(self, **{each.name: arrays.check_number(getattr(self, each.name), each.name, above=0.0)})
+        names = [each.name for each in dataclasses.fields(self) if each.name != "attempts"]
+        numbers = {name: arrays.check_number(getattr(self, name), name, above=0.0) for name in names}
+        set_fields(self, **numbers, attempts=fields.check_integer(self.attempts, "attempts", minimum=1, maximum=_MOST_ATTEMPTS))
