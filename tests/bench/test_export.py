@@ -146,6 +146,7 @@ def test_qps_gives_the_proven_answer(name: str, tmp_path: Path) -> None:
     path.write_text(write_qps(form))
     highs = highspy.Highs()
     highs.silent()
+    highs.setOptionValue("threads", 1)  # as elsewhere: HiGHS refuses to run with another number of threads in one process
     assert highs.readModel(str(path)) != highspy.HighsStatus.kError
     model = highs.getModel()
     assert (model.lp_.num_col_, model.lp_.num_row_) == (len(form.q), len(form.b) + len(form.d))
