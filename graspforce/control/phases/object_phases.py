@@ -14,7 +14,7 @@ from graspforce.control.phases.cycle_plan import BaseMotion, base_motion, braked
 from graspforce.control.phases.finger_servo import FingerServo, ServoMemory, ServoStep
 from graspforce.control.phases.load_transfer import inertial_wrench, table_wrench
 from graspforce.control.phases.motion_profile import MotionProfile
-from graspforce.control.phases.phase_rules import LOST_CONTACT, NO_FORCES
+from graspforce.control.phases.phase_rules import LOST_CONTACT, MOVED, NO_FORCES
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.phases.phase_step import FeedbackController, ObjectCommand, PhaseTorques
 from graspforce.core.arrays import Array, freeze
@@ -156,7 +156,8 @@ class SqueezePhase:
     """The forces rise from the touch to the planned forces of an object on the table, then the weight goes to the fingers.
 
     The torques are (1 − r) tau_wait + r tau_object with the rise r, so no finger presses more than planned. A finger may not
-    touch yet. While it runs towards the object, the rise goes back, so that it arrives slowly.
+    touch yet. While it runs towards the object, the rise goes back, so that it arrives slowly. Fingertips that touch off the
+    planned places, or links that touch in their place, push the object away; the phase then ends before the forces are large.
 
     Args:
         held: the object.
@@ -193,8 +194,13 @@ class SqueezePhase:
         command = held.step(measurement, 1.0 - weight, self._base, self.target.advance())
         tau = freeze((1.0 - share) * servo[0].tau + share * command.tau)
         is_over = self._rise_time >= settings.squeeze_time + settings.transfer_time and not command.forces_reused
-        abort = self._watch.abort_reason(command)
+        abort = self._watch.abort_reason(command) or (MOVED if self._shift() > settings.largest_shift else "")
         return PhaseTorques(tau, servo, self._base, is_over, abort, command, share)
+
+    def _shift(self) -> float:
+        """Return how far the object has moved since the touch, as estimated, m."""
+        estimate, grasp = self._held.estimate, self._held.grasp
+        return 0.0 if estimate is None else float(np.linalg.norm(estimate.object.p_HO - grasp.p_HO))
 
     def _inward_speeds(self, servo: ServoStep) -> Array:
         """Return the speeds (N,) of the fingertips along their inward normals, m/s."""

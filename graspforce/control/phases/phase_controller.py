@@ -179,7 +179,7 @@ class PhaseController:
             return CarryPhase(held, rest.p, plan.move, profiles.move)
         if self.phase == "place":
             return CarryPhase(held, rest.p, -plan.lift, profiles.place, lowers=True)
-        return ReleasePhase(held, servo.q, rest, plan.standoff)
+        return ReleasePhase(held, servo.q, rest, plan.q_pregrasp)
 
     def _touch(self, servo: ServoStep) -> bool:
         """Update the grasp from the touched places and make its object controller, if these places fit the object."""

@@ -42,6 +42,7 @@ NO_CONTACT = "a finger finds no contact"
 WRONG_OBJECT = "the touched places do not fit the object"
 NO_FORCES = "no forces hold the object"
 LOST_CONTACT = "a fingertip left the object"
+MOVED = "the fingers move the object"
 PAUSED = "the measurements paused"
 NOT_REACHED = "the joints do not reach the posture"
 PHASE_ORDER: tuple[PhaseName, ...] = ("approach", "close", "squeeze", "lift", "move", "place", "release", "retract")
@@ -50,6 +51,7 @@ RETRIED: tuple[tuple[PhaseName, str], ...] = (
     ("close", WRONG_OBJECT),
     ("squeeze", NO_FORCES),
     ("squeeze", LOST_CONTACT),
+    ("squeeze", MOVED),
     ("squeeze", TIME_LIMIT),
 )
 
@@ -60,11 +62,11 @@ PHASE_RULES: dict[PhaseName, PhaseRule] = {
     for rule in (
         PhaseRule("approach", "start", "the joints are at the pre-grasp posture", (NOT_REACHED,), 10.0, "hold joints"),
         PhaseRule("close", "end of approach", "every fingertip touches", (NO_CONTACT, WRONG_OBJECT), 8.0, "hold joints"),
-        PhaseRule("squeeze", "end of close", "the planned forces carry the weight", _HOLD_ABORTS, 3.0, "hold joints"),
+        PhaseRule("squeeze", "end of close", "the planned forces carry the weight", (*_HOLD_ABORTS, MOVED), 3.0, "hold joints"),
         PhaseRule("lift", "end of squeeze", "the hand is at the lift height", _HOLD_ABORTS, 10.0, "hold object"),
         PhaseRule("move", "end of lift", "the hand is above the goal", _HOLD_ABORTS, 30.0, "hold object"),
         PhaseRule("place", "end of move", "the table carries the weight", _HOLD_ABORTS, 10.0, "hold object"),
-        PhaseRule("release", "end of place", "the fingertips are at the stand-off distance", (), 5.0, "hold joints"),
+        PhaseRule("release", "end of place", "the fingers are open", (), 5.0, "hold joints"),
         PhaseRule("retract", "end of release", "the joints are at the start posture", (NOT_REACHED,), 10.0, "hold joints"),
         PhaseRule("reopen", "failed close or squeeze", "the hand is open over the object", (NOT_REACHED,), 10.0, "hold joints"),
     )

@@ -22,7 +22,7 @@ class PhaseSettings(SettingsRecord):
         standoff: distance of the fingertips from the planned contacts in the pre-grasp posture, m. Where something would touch,
             70 to 150 % of it are tried.
         close_speed: speed of the fingertips along the inward normals in the guarded close, m/s.
-        open_speed: speed of the fingertips along the outward normals in the release, m/s.
+        open_speed: mean speed of the fastest fingertip in the release, m/s.
         touch_force: largest force with which a fingertip pushes before the squeeze, N. A finger that touches early waits with
             at most this force.
         largest_travel: distance beyond the planned contact after which a finger has missed the object, m.
@@ -35,6 +35,7 @@ class PhaseSettings(SettingsRecord):
         settling_time: time for which the joints must be at a posture before the phase ends, s.
         posture_tolerance: largest joint error at the end of approach and retract, rad.
         contact_tolerance: distance of a fingertip from the surface from which its contact counts as lost, m.
+        largest_shift: distance that the object may move in the squeeze, m; beyond it the fingers let go.
         loss_time: time after which a lost contact, a step without forces, or a pause of the measurements ends the cycle, s.
         largest_rate: largest rate of the double pole of the joint loop, rad/s.
         attempts: number of times that the fingers close on the object, 1 to 10. They open and close again if the touched places
@@ -60,6 +61,7 @@ class PhaseSettings(SettingsRecord):
     settling_time: float = 0.1
     posture_tolerance: float = 0.03
     contact_tolerance: float = 4e-3
+    largest_shift: float = 3e-3
     loss_time: float = 0.1
     largest_rate: float = 60.0
     attempts: int = 2

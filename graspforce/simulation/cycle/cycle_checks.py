@@ -7,6 +7,7 @@ box with μ ≤ 0.7 oppose each other: their distance is at least 0.75 of the le
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 
@@ -50,26 +51,30 @@ def check_size(hand: Hand, body: Body, friction: float) -> None:
 
 
 def check_weight(grasp: Grasp, control: ControlSettings) -> None:
-    """Check that the controller's forces hold the object at rest with the least friction that it assumes.
+    """Check that the controller's forces hold the heaviest object at rest with the least friction that it assumes.
 
-    The controller then keeps at least a slip margin of zero for all assumed errors of friction and contact normals. Without
-    such forces it would count on all the modelled friction.
+    The controller then keeps at least a slip margin of zero for all assumed errors of friction, contact normals and mass.
+    Without such forces it would count on all the modelled friction.
 
     Args:
         grasp: the grasp.
         control: settings of the object controller, with gravity and assumed errors.
 
     Raises:
-        InvalidInput: no forces within the limits of motors and contacts hold the weight with this friction.
+        InvalidInput: no forces within the limits of motors and contacts hold this weight with this friction.
     """
-    law, at_rest = ObjectControlLaw(grasp, control), BodyMotion(grasp.p_HO, grasp.R_HO)
+    heavy, body = 1.0 + control.mass_error, grasp.body
+    heaviest = replace(body, mass=heavy * body.mass, inertia=heavy * body.inertia)
+    law, at_rest = ObjectControlLaw(replace(grasp, body=heaviest), control), BodyMotion(grasp.p_HO, grasp.R_HO)
     state = GraspState(grasp.q, np.zeros(grasp.hand.n), at_rest)
     targets = law.compute_targets(law.initial_memory(), state, at_rest, None)
     result = law.force_solver.solve(targets, grasp.hand.gravity_torque(grasp.q, control.gravity_H), margin=0.0)
     if result.f is None or result.warning:
         least = float(law.force_solver.least[0].min()) * (1.0 - control.friction_reserve)
         raise InvalidInput(
-            "grasp", f"contacts that do not hold the weight with μ = {least:.2g}", "one that the least friction holds"
+            "grasp",
+            f"contacts that do not hold the weight of {heaviest.mass:.3g} kg with μ = {least:.2g}",
+            "one that holds the heaviest object with the least friction",
         )
 
 

@@ -20,6 +20,7 @@ PLACE_ERROR = 0.015  # m, along the table, between the object and its goal
 TILT = math.radians(15.0)  # of the object at the end
 _SETTLED = 0.05  # s after the start: the object rests on the table
 _STANDING_LOAD = 0.9  # of the weight that the table carries at the end
+_LAST_TIME = 0.1  # s at the end over which that load is averaged: a standing object may still rock
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,9 +138,14 @@ def _with_status(outcome: CycleOutcome, recording: CycleRecording, height: Array
         status = "dropped"
     elif outcome.place_error > PLACE_ERROR or outcome.tilt > TILT:
         status = "not placed"
-    elif recording.table_force[-1] < _STANDING_LOAD * recording.weight or recording.f[-1].any():
+    elif _last_load(recording) < _STANDING_LOAD * recording.weight or recording.f[-1].any():
         status = "not released"
     return replace(outcome, status=status)
+
+
+def _last_load(recording: CycleRecording) -> float:
+    """Return the mean force of the table at the end, N."""
+    return float(recording.table_force[recording.t > recording.t[-1] - _LAST_TIME].mean())
 
 
 def phase_table(recording: CycleRecording) -> Table:

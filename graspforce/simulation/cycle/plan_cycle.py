@@ -193,8 +193,8 @@ def find_cycle(
         seed: first seed.
         settings: settings of the phases.
         motion: motion of the hand.
-        control: settings of the object controller, whose gravity does not count: the grasp must hold the weight with the least
-            friction that they assume. Default: `ControlSettings()`.
+        control: settings of the object controller, whose gravity does not count: the grasp must hold the largest weight with
+            the least friction that they assume. Default: `ControlSettings()`.
         on_seed: called with each seed, and what its grasp lacks; with an empty text for the one that is used.
 
     Raises:

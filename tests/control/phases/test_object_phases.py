@@ -10,8 +10,9 @@ import pytest
 from graspforce.control.phases.cycle_plan import BaseMotion, place_profile
 from graspforce.control.phases.finger_servo import ServoStep
 from graspforce.control.phases.object_phases import CarryPhase, GraspWatch, HeldObject, SqueezePhase
-from graspforce.control.phases.phase_rules import LOST_CONTACT
+from graspforce.control.phases.phase_rules import LOST_CONTACT, MOVED
 from graspforce.control.phases.phase_settings import PhaseSettings
+from graspforce.control.phases.release_phase import ReleasePhase
 from graspforce.control.phases.tip_motion import TipMotion
 from graspforce.estimation.measurement import Measurement, PoseMeasurement
 from tests.support.table_scenes import ball_scene
@@ -62,14 +63,18 @@ class RunningServo:
         return ServoStep(np.zeros(len(v)), self._q, v, none, none, none), memory
 
 
+def squeezed_object(servo) -> HeldObject:
+    """Return a held object whose controller estimates it where the fingers touched it."""
+    scene, controller = ball_scene(), RecordingController()
+    controller.step = lambda measurement, desired, external=None: SimpleNamespace(forces_reused=False, tau=np.ones(16))
+    controller.estimate.object = SimpleNamespace(p_HO=scene.grasp.p_HO, R_HO=scene.grasp.R_HO)
+    return HeldObject(scene.grasp, controller, servo, scene.gravity_H, SETTINGS, np.zeros(3))
+
+
 def test_squeeze_goes_back_while_a_fingertip_runs_towards_the_object():
     """A finger that rushes to the object would hit it with more than the planned force."""
     servo, scene = RunningServo(0.0), ball_scene()
-    controller = RecordingController()
-    controller.step = lambda measurement, desired, external=None: SimpleNamespace(forces_reused=False, tau=np.ones(16))
-    controller.estimate.object = SimpleNamespace(p_HO=scene.grasp.p_HO, R_HO=scene.grasp.R_HO)
-    held = HeldObject(scene.grasp, controller, servo, scene.gravity_H, SETTINGS, np.zeros(3))
-    phase = SqueezePhase(held, scene.grasp.q, BaseMotion.at_rest(np.zeros(3)))
+    phase = SqueezePhase(squeezed_object(servo), scene.grasp.q, BaseMotion.at_rest(np.zeros(3)))
 
     def shares(speed: float, count: int) -> np.ndarray:
         servo.speed = speed
@@ -82,6 +87,38 @@ def test_squeeze_goes_back_while_a_fingertip_runs_towards_the_object():
     again = shares(0.02, 1000)
     assert again[:200] == pytest.approx(rising)
     assert again[-1] == 1.0
+
+
+@pytest.mark.parametrize("direction", np.eye(3).tolist())
+def test_squeeze_ends_when_the_fingers_push_the_object_away(direction):
+    scene = ball_scene()
+    held = squeezed_object(RunningServo(0.0))
+    phase = SqueezePhase(held, scene.grasp.q, BaseMotion.at_rest(np.zeros(3)))
+    for shift, reason in ((0.0, ""), (0.9, ""), (1.1, MOVED), (-1.1, MOVED), (-0.9, "")):
+        p = scene.grasp.p_HO + shift * SETTINGS.largest_shift * np.array(direction)
+        held.controller.estimate.object = SimpleNamespace(p_HO=p, R_HO=scene.grasp.R_HO)
+        assert phase.step(0.0, Measurement(0.0, scene.grasp.q), None).abort == reason
+
+
+def test_released_fingers_open_to_the_pregrasp_posture_with_the_opening_speed():
+    scene, rng = ball_scene(), np.random.default_rng(0)
+    grasp, desired = scene.grasp, []
+    q_open = np.clip(grasp.q + 0.1 * rng.standard_normal(16), grasp.hand.q_lower, grasp.hand.q_upper)
+
+    class Servo(RunningServo):
+        def step(self, memory, measurement, wanted, bounds, **options):
+            desired.append(wanted)
+            return super().step(memory, measurement, wanted, bounds, **options)
+
+    phase = ReleasePhase(squeezed_object(Servo(0.0)), grasp.q, BaseMotion.at_rest(np.zeros(3)), q_open)
+    times = PERIOD * np.arange(3000)
+    over = next(t for t in times if phase.step(float(t), Measurement(float(t), grasp.q), None).is_over)
+    waiting = [each for t, each in zip(times, desired, strict=False) if t < SETTINGS.squeeze_time]
+    assert all((each.q == grasp.q).all() for each in waiting)
+    assert desired[-1].q == pytest.approx(q_open, abs=1e-9)
+    tips = TipMotion(grasp.hand, grasp.fingers)
+    distance = np.linalg.norm(tips.positions(q_open) - tips.positions(grasp.q), axis=1).max()  # m
+    assert over - SETTINGS.squeeze_time == pytest.approx(distance / SETTINGS.open_speed, abs=2 * PERIOD)
 
 
 def touch_target(rise: float, at: float, lowers: bool = True) -> float:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import math
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -69,3 +71,26 @@ def test_weight_is_held_with_little_friction_only_if_forces_exist():
     check_weight(scene.grasp, ControlSettings(gravity_H=scene.gravity_H, friction_error=0.4, contact_error=0.1))
     with pytest.raises(InvalidInput, match="do not hold the weight"):
         check_weight(scene.grasp, ControlSettings(gravity_H=scene.gravity_H, friction_error=0.92))
+
+
+def test_heaviest_assumed_object_must_be_held():
+    """An object that is almost too heavy for the motors is accepted with an exact mass, and not with one that may be larger."""
+    scene = ball_scene()
+    body = scene.grasp.body
+
+    def check(mass: float, error: float) -> None:
+        grasp = replace(scene.grasp, body=replace(body, mass=mass, inertia=body.inertia * mass / body.mass))
+        check_weight(grasp, ControlSettings(gravity_H=scene.gravity_H, friction_error=0.4, mass_error=error))
+
+    light, heavy = body.mass, 1e3 * body.mass  # kg
+    while heavy / light > 1.01:
+        middle = math.sqrt(light * heavy)
+        try:
+            check(middle, 0.0)
+        except InvalidInput:
+            heavy = middle
+        else:
+            light = middle
+    check(light / 1.6, 0.5)
+    with pytest.raises(InvalidInput, match="do not hold the weight"):
+        check(light / 1.4, 0.5)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -41,6 +43,12 @@ def test_truth_confirms_lift_place_and_release(recording):
     assert outcome.status == "done"
     assert outcome.lift_height == pytest.approx(0.05, abs=2e-3)
     assert outcome.place_error < 3e-3
+
+
+@pytest.mark.parametrize(("share", "status"), [(1.0, "done"), (0.8, "not released")])
+def test_object_that_rocks_on_the_table_is_released_if_the_mean_load_is_its_weight(recording, share, status):
+    rocking = np.resize([0.0, 2.0], len(recording.t)) * share * recording.weight  # N
+    assert judge_cycle(replace(recording, table_force=rocking)).status == status
 
 
 def test_fingers_that_touch_early_push_no_more_than_the_touch_force(recording):
