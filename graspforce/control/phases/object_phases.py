@@ -25,6 +25,7 @@ from graspforce.grasp.grasp import Grasp
 
 _DECELERATION = 1.0  # m/s², of the base in a safe stop
 _FASTEST_TIP = 0.03  # m/s: speed along its inward normal of a fingertip that does not touch
+_RETREAT_RATE = 10.0  # times as fast as they rise, the forces go back while a fingertip runs
 _RISE_AT_TOUCH = 5e-4  # m: rise of the object in the hand that shows the table; estimates scatter less
 _TOUCH_DISTANCE = 0.015  # m: way of the base before its end on which the object may meet the table
 _YIELD_TIME = 0.05  # s: lag with which the target of an object on the table follows its estimated pose
@@ -156,8 +157,8 @@ class SqueezePhase:
     """The forces rise from the touch to the planned forces of an object on the table, then the weight goes to the fingers.
 
     The torques are (1 − r) tau_wait + r tau_object with the rise r, so no finger presses more than planned. A finger may not
-    touch yet. While it runs towards the object, the rise goes back, so that it arrives slowly. Fingertips that touch off the
-    planned places, or links that touch in their place, push the object away; the phase then ends before the forces are large.
+    touch yet. While it runs towards the object, the rise goes back fast, so that it arrives slowly. Links that touch in place of
+    the fingertips push the object away; the phase then ends before the forces are large.
 
     Args:
         held: the object.
@@ -188,7 +189,7 @@ class SqueezePhase:
         held, settings = self._held, self._held.settings
         servo = held.servo.step(memory, measurement, self._wait, self._force, predicted=False)
         is_running = self._inward_speeds(servo[0]).max() > _FASTEST_TIP
-        self._rise_time = max(self._rise_time + (-1.0 if is_running else 1.0) * held.servo.period, 0.0)
+        self._rise_time = max(self._rise_time + (-_RETREAT_RATE if is_running else 1.0) * held.servo.period, 0.0)
         share = minimum_jerk(self._rise_time, settings.squeeze_time)[0]
         weight = minimum_jerk(max(self._rise_time - settings.squeeze_time, 0.0), settings.transfer_time)[0]
         command = held.step(measurement, 1.0 - weight, self._base, self.target.advance())

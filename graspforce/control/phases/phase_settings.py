@@ -61,7 +61,7 @@ class PhaseSettings(SettingsRecord):
     settling_time: float = 0.1
     posture_tolerance: float = 0.03
     contact_tolerance: float = 4e-3
-    largest_shift: float = 3e-3
+    largest_shift: float = 5e-3
     loss_time: float = 0.1
     largest_rate: float = 60.0
     attempts: int = 2
