@@ -157,8 +157,8 @@ class SqueezePhase:
     """The forces rise from the touch to the planned forces of an object on the table, then the weight goes to the fingers.
 
     The torques are (1 − r) tau_wait + r tau_object with the rise r, so no finger presses more than planned. A finger may not
-    touch yet. While it runs towards the object, the rise goes back fast, so that it arrives slowly. Links that touch in place of
-    the fingertips push the object away; the phase then ends before the forces are large.
+    touch yet. While it runs towards the object, the rise goes back fast, so that it arrives slowly. Links that touch in place
+    of the fingertips push the object away; the phase then ends before the forces are large.
 
     Args:
         held: the object.
