@@ -5,10 +5,11 @@ a_d, the feedback is
 
     a_f = k_p (q_d − q) + k_d (v_d − v),     tau = M (a_d + s a_f) + c(q, v) + g(q) + friction(v_d).
 
-The factor s ≤ 1 of each finger bounds its feedback as a force F at the tip, ‖F‖ ≤ F_max, with the smallest F for which
-Jᵀ F is the feedback torque, F = (J Jᵀ)⁻¹ J M a_f. So a finger that meets the object pushes with F_max at most, however
-far its desired position is inside. The friction levels are those of `FrictionObserver`, which learns them while the fingers
-move without contact. Free fingers that rest away from the goal get the friction of a motion towards it, too.
+The factor s ≤ 1 of each finger bounds its feedback as a force F at the tip, ‖F‖ ≤ F_max, where F is the force that accelerates
+the tip as the feedback does, F = (J M⁻¹ Jᵀ)⁻¹ J a_f (Khatib 1987). The rest of the feedback moves the joints and not the tip.
+So a finger that meets the object pushes with F_max at most, however far its desired position is inside. The friction levels
+are those of `FrictionObserver`, which learns them while the fingers move without contact. Free fingers that rest away from the
+goal get the friction of a motion towards it, too.
 
 `ForceBounds` bounds the parts of F along a direction and across it on their own. A joint that sticks by static friction leads
 the tip away from its line; the force across the line that moves this joint then does not depend on the bound along it.
@@ -36,6 +37,7 @@ from graspforce.hand.hand import Hand
 _LARGEST_FRICTION = 0.3  # of each motor's torque: bound of the observed levels
 _PULL_RATE = 10.0  # 1/s, by the error beyond the band of rest: rate of the motion whose friction is compensated
 _RANK = 1e-8  # m²/rad²: added to J Jᵀ, so that a stretched finger has a finite force
+_MOBILITY_RANK = 1e-6  # of its mean diagonal: the same for J M⁻¹ Jᵀ
 
 
 class ForceBounds(NamedTuple):
@@ -172,15 +174,12 @@ class FingerServo:
         M = self.hand.model.mass_matrix(q)
         p_tip, J = (each[0] for each in self.hand.model.frame_jacobians(q[None], self._tips))
         a_f = self._kp * (desired.q - q) + self._kd * (desired.v - v)
-        u, torque_d = M @ a_f, M @ d
-        bounded, forces, disturbances = u.copy(), [], []
+        torque_d = M @ d
+        bounded, forces = self._bounded_feedback(M, J[:, :3], a_f, largest_force)
+        disturbances = []
         for i, own in enumerate(self._joints):
             J_i = J[i, :3][:, own]
-            to_force = np.linalg.solve(J_i @ J_i.T + _RANK * np.eye(3), J_i)
-            force = to_force @ u[own]  # N
-            bounded[own], kept = _bounded_feedback(u[own], force, J_i, largest_force, i)
-            forces.append(kept)
-            disturbances.append(to_force @ torque_d[own])
+            disturbances.append(np.linalg.solve(J_i @ J_i.T + _RANK * np.eye(3), J_i @ torque_d[own]))
         a = desired.a + np.linalg.solve(M, bounded)
         direction = np.tanh((desired.v + (self._pull(desired.q - q) if is_free else 0.0)) / SMOOTHING_RATE)
         friction = memory.friction
@@ -190,6 +189,31 @@ class FingerServo:
             friction = self._observer.step(friction, direction, bounded)
         result = ServoStep(freeze(tau), q, v, freeze(p_tip), freeze(disturbances), freeze(forces))
         return result, ServoMemory(joints, freeze(a), friction)
+
+    def _bounded_feedback(self, M: Array, J: Array, a_f: Array, largest: Array | ForceBounds) -> tuple[Array, Array]:
+        """Return the feedback torques within the bounds, (n,) N·m, and their forces at the tips, (N, 3) N.
+
+        Bounds by direction change the part of the torques that is a force at the tip; the other part stays.
+
+        Args:
+            M: (n, n) mass matrix.
+            J: (N, 3, n) Jacobians of the fingertips.
+            a_f: (n,) feedback accelerations, rad/s².
+            largest: the bounds, as in `step`.
+        """
+        u, rows = M @ a_f, J.reshape(-1, len(a_f))
+        mobility = rows @ np.linalg.solve(M, rows.T)
+        mobility += _MOBILITY_RANK * mobility.trace() / len(mobility) * np.eye(len(mobility))
+        force: Array = np.asarray(np.linalg.solve(mobility, rows @ a_f).reshape(-1, 3))  # N
+        if isinstance(largest, ForceBounds):
+            along = np.asarray(np.einsum("ij,ij->i", force, largest.normals)[:, None] * largest.normals)
+            kept = _shortened(along, largest.along) + _shortened(np.asarray(force - along), largest.across)
+            return u + rows.T @ (kept - force).ravel(), kept
+        kept, share = _shortened(force, largest), np.ones(len(u))
+        for own, full, shorter in zip(self._joints, force, kept, strict=True):
+            norm = float(np.linalg.norm(full))
+            share[own] = np.minimum(share[own], float(np.linalg.norm(shorter)) / norm if norm > 0.0 else 1.0)
+        return share * u, kept
 
     def _pull(self, error: Array) -> Array:
         """Return the rates towards the desired positions of joints that are outside the band of rest, rad/s.
@@ -203,21 +227,9 @@ class FingerServo:
         return _PULL_RATE * np.sign(error) * np.maximum(np.abs(error) - self._rest_band, 0.0)
 
 
-def _bounded_feedback(u: Array, force: Array, J: Array, largest: Array | ForceBounds, i: int) -> tuple[Array, Array]:
-    """Return the feedback torques of finger i within its bounds, N·m, and their force at the tip, N.
-
-    Bounds by direction change the part of the torques that is a force at the tip; the other part stays.
-    """
-    if isinstance(largest, ForceBounds):
-        along = (force @ largest.normals[i]) * largest.normals[i]
-        kept = _shortened(along, float(largest.along[i])) + _shortened(force - along, float(largest.across[i]))
-        return u + J.T @ (kept - force), kept
-    size = float(np.linalg.norm(force))
-    share = min(1.0, float(largest[i]) / size) if size > 0.0 else 1.0
-    return share * u, share * force
-
-
-def _shortened(force: Array, largest: float) -> Array:
-    """Return a force of at most a size, N."""
-    size = float(np.linalg.norm(force))
-    return force if size <= largest else force * (largest / size)
+def _shortened(forces: Array, largest: Array) -> Array:
+    """Return forces (N, 3) with at most the sizes (N,) largest, N."""
+    sizes = np.linalg.norm(forces, axis=1)
+    with np.errstate(divide="ignore"):
+        share = np.where(sizes > largest, largest / sizes, 1.0)
+    return np.asarray(share[:, None] * forces)

@@ -64,7 +64,7 @@ class PhaseSettings(SettingsRecord):
     largest_shift: float = 5e-3
     loss_time: float = 0.1
     largest_rate: float = 60.0
-    attempts: int = 2
+    attempts: int = 3
 
     def __post_init__(self) -> None:
         names = [each.name for each in dataclasses.fields(self) if each.name != "attempts"]

@@ -36,7 +36,7 @@ _OPEN_DISTANCE = 0.05  # m: distance of the fingertips from the contacts in the 
 _LEAST_CLEARANCE = 0.0005  # m, of links, palm, object and table
 _STANDOFF_SHARES = (1.0, 1.25, 1.5, 0.85, 0.7)  # of the stand-off distance, that are tried in turn
 _STARTS, _START_SPREAD = 40, 0.15  # random start postures that are tried, and their spread as a part of each joint's range
-_LEAST_WAY = 0.05  # rad, of the joint that moves furthest in the approach
+_LEAST_WAY = 0.03  # of its range: way of the joint that moves furthest in the approach
 _LARGEST_ERROR, _LARGEST_TURN = 0.01, math.radians(10.0)  # m and rad, of the object's pose, at which nothing touches yet
 _DIRECTIONS = 8  # of the displacement
 _CHECKED_POSTURES = 20  # of an optimised approach
@@ -112,7 +112,8 @@ def _start_posture(scene: TableScene, q_pregrasp: Array) -> Array:
     ]
     for q in candidates:
         way = [q_pregrasp + share * (q - q_pregrasp) for share in np.linspace(0.2, 1.0, 5)]
-        if np.abs(q - q_pregrasp).max() > _LEAST_WAY and min(_least_gap(scene, each) for each in way) >= _LEAST_CLEARANCE:
+        is_far = (np.abs(q - q_pregrasp) > _LEAST_WAY * (hand.q_upper - hand.q_lower)).any()
+        if is_far and min(_least_gap(scene, each) for each in way) >= _LEAST_CLEARANCE:
             return np.asarray(q)
     raise InvalidInput("scene", "a pre-grasp posture from which the fingers cannot move away", "a grasp with room around it")
 

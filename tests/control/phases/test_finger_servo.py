@@ -98,3 +98,32 @@ def test_torque_on_a_free_joint_that_sticks_grows_beyond_its_static_friction():
     joints = [j for name in FINGERS for j in HAND.finger(name).joints]
     pushed = found.tau - still  # N·m
     assert (np.minimum(pushed, HAND.torque_upper - still)[joints] > 0.1).all(), pushed[joints]
+
+
+@pytest.mark.parametrize("name", ["allegro_right", "shadow_right", "dlr_hit2"])
+@pytest.mark.parametrize("seed", range(3))
+def test_bounded_feedback_accelerates_the_tips_as_its_forces_do(name, seed):
+    """Fingers of four or five joints have torques that move joints and not the tip; they must not push the tip.
+
+    The accelerations J M⁻¹ tau of the feedback are those of the bounded forces at the tips, J M⁻¹ Jᵀ F.
+    """
+    hand, rng = Hand.load(name), np.random.default_rng(seed)
+    fingers = tuple(finger.name for finger in hand.fingers)[-3:]
+    servo = FingerServo(hand, fingers, SensorModel(), np.zeros(3), 60.0, 0.015)
+    rest = hand.q_lower + rng.uniform(0.3, 0.7, hand.n) * (hand.q_upper - hand.q_lower)
+    measurement, normals = Measurement(0.0, rest), rng.standard_normal((3, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    error = 0.02 * rng.standard_normal(hand.n)  # rad: within the torque limits
+    bounds = ForceBounds(normals, np.full(3, 0.01), np.full(3, 0.03))  # N
+    wanted, still = (
+        servo.step(servo.initial_memory(measurement), measurement, JointMotion(rest + each), bounds)[0]
+        for each in (error, np.zeros(hand.n))
+    )
+    tau = wanted.tau - still.tau
+    assert np.abs(wanted.f_feedback).max() > 1e-3  # N
+    J = hand.model.frame_jacobians(rest[None], [hand.frame_id(finger) for finger in fingers])[1][0][:, :3].reshape(9, hand.n)
+    mobility = J @ np.linalg.solve(hand.model.mass_matrix(rest), J.T)  # 1/kg
+    actual = J @ np.linalg.solve(hand.model.mass_matrix(rest), tau)  # m/s²
+    expected = mobility @ wanted.f_feedback.ravel()
+    # the matrix is regularised by 1e-6 of its mean diagonal
+    np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-3 * np.abs(expected).max())

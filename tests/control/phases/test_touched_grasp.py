@@ -14,6 +14,7 @@ from graspforce.control.phases.touched_grasp import POSE_DEVIATIONS, contact_shi
 from graspforce.geometry import Box
 from graspforce.geometry.rotations import rotation_exp
 from graspforce.grasp.body import Body
+from graspforce.hand.hand import Hand
 from tests.support.table_scenes import MASS, RADIUS, ball_scene
 
 
@@ -100,6 +101,33 @@ def test_tip_motion_moves_the_tips_with_the_given_velocities():
     q, rates = motion.advance(grasp.q, velocities, dt)
     assert np.abs(motion.positions(q) - motion.positions(grasp.q) - dt * velocities).max() < 5e-6  # m: damping and curvature
     assert np.allclose(rates, (q - grasp.q) / dt)
+
+
+def test_tips_follow_their_velocities_when_a_joint_is_at_its_limit():
+    """Three of the four joints of a finger suffice."""
+    grasp = ball_scene().grasp
+    motion, dt = TipMotion(grasp.hand, grasp.fingers), 1e-3
+    for joint in grasp.hand.finger("index").joints[1:]:  # the first one has the whole spread of the finger
+        q, velocities = np.array(grasp.q), np.zeros((3, 3))
+        q[joint] = grasp.hand.q_upper[joint]
+        velocities[0] = 0.05 * np.array([0.3, 0.0, 0.9])  # m/s
+        velocities *= np.sign(motion.rates(q, velocities)[joint])  # towards the limit
+        q_next, _ = motion.advance(q, velocities, dt)
+        assert q_next[joint] == q[joint]
+        assert np.abs(motion.positions(q_next) - motion.positions(q) - dt * velocities).max() < 5e-6
+
+
+def test_wrist_rests_while_fingertips_move():
+    hand = Hand.load("shadow_right")
+    fingers = ("thumb", "first", "middle")
+    motion = TipMotion(hand, fingers)
+    wrist = set.intersection(*(set(hand.finger(name).joints) for name in fingers))
+    assert len(wrist) == 2
+    q = hand.q_lower + 0.4 * (hand.q_upper - hand.q_lower)
+    velocities = 0.02 * np.eye(3)  # m/s
+    q_next, _ = motion.advance(q, velocities, 1e-3)
+    assert (q_next[list(wrist)] == q[list(wrist)]).all()
+    assert np.abs(motion.positions(q_next) - motion.positions(q) - 1e-3 * velocities).max() < 5e-6
 
 
 def test_gaps_at_the_touch_are_the_distances_of_the_tips_from_the_surface():

@@ -94,7 +94,7 @@ def test_table_carries_no_more_than_the_weight(recording):
 def test_weight_goes_from_the_table_to_the_fingers_and_back(recording):
     squeeze, place = recording.steps_of("squeeze"), recording.steps_of("place")
     lift, release = recording.steps_of("lift"), recording.steps_of("release")
-    assert recording.table_force[squeeze[20]] > 0.8 * WEIGHT
+    assert recording.table_force[squeeze[:40]].mean() > 0.8 * WEIGHT  # single values scatter while the fingers arrive
     assert recording.table_force[lift[len(lift) // 2 :]].max() == 0.0
     assert recording.table_force[place[-1]] > 0.8 * WEIGHT
     assert recording.table_force[release[-1]] == pytest.approx(WEIGHT, rel=0.02)

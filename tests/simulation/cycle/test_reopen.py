@@ -90,7 +90,7 @@ def test_fingers_leave_the_object_before_the_base_moves(recording):
 
 
 def test_cycle_stops_after_the_last_attempt():
-    recording = run_with(2)
+    recording = run_with(2, replace(SETTINGS, attempts=2))
     assert [record.phase for record in recording.records] == ["approach", *FAILED, *FAILED[:2]]
     assert recording.message == f"squeeze: {NO_FORCES}"
     assert recording.table_force[-1] > 0.9 * recording.weight
