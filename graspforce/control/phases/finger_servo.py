@@ -153,6 +153,7 @@ class FingerServo:
         largest_force: Array | ForceBounds,
         *,
         is_free: bool = False,
+        learns: bool = True,
         predicted: bool = True,
     ) -> tuple[ServoStep, ServoMemory]:
         """Compute the torques of a period.
@@ -162,7 +163,8 @@ class FingerServo:
             measurement: the newest measurement.
             desired: desired motion of the joints when the torque acts.
             largest_force: (N,) bound of the feedback of each finger at its tip, N; or bounds by direction.
-            is_free: whether no finger touches: the levels of friction are learned.
+            is_free: whether no finger touches: friction is compensated towards the desired posture, too.
+            learns: whether free fingers learn the levels of friction. Forces of contacts would be taken for friction.
             predicted: whether the servo's own torques acted in the last period, so that they predict the joints.
 
         Raises:
@@ -185,7 +187,7 @@ class FingerServo:
         friction = memory.friction
         tau = self.hand.model.inverse_dynamics(q, v, a, self._gravity) + friction * direction
         tau = np.clip(tau, self.hand.torque_lower, self.hand.torque_upper)
-        if is_free:
+        if is_free and learns:
             friction = self._observer.step(friction, direction, bounded)
         result = ServoStep(freeze(tau), q, v, freeze(p_tip), freeze(disturbances), freeze(forces))
         return result, ServoMemory(joints, freeze(a), friction)

@@ -27,6 +27,7 @@ class JointPhase:
         settings: tolerance and settling time.
         base: where the hand's base stays.
         largest_force: (N,) bound of the feedback of each finger at its tip, N.
+        learns: whether the levels of joint friction are learned: no finger touches at the start.
     """
 
     def __init__(
@@ -36,9 +37,10 @@ class JointPhase:
         settings: PhaseSettings,
         base: BaseMotion,
         largest_force: Array,
+        learns: bool,
     ) -> None:
         self._servo, self._motion, self._settings = servo, motion, settings
-        self._base, self._force = base, largest_force
+        self._base, self._force, self._learns = base, largest_force, learns
         self._settled = 0.0  # s
 
     def step(self, t: float, measurement: Measurement, memory: ServoMemory) -> PhaseTorques:
@@ -50,7 +52,7 @@ class JointPhase:
             memory: memory of the servo.
         """
         desired, end = self._motion(t), self._motion.duration
-        servo = self._servo.step(memory, measurement, desired, self._force, is_free=True)
+        servo = self._servo.step(memory, measurement, desired, self._force, is_free=True, learns=self._learns)
         error = float(np.abs(desired.q - servo[0].q).max())
         is_near = t >= end and error <= self._settings.posture_tolerance
         self._settled = self._settled + self._servo.period if is_near else 0.0

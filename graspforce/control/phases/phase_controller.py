@@ -86,7 +86,7 @@ class PhaseController:
         self.records: tuple[PhaseRecord, ...] = ()
         self.phase: PhaseName = "approach"
         self._base = BaseMotion.at_rest(np.zeros(3))  # of the last command
-        self._active: _Phase = self._joint_phase(self.plan.approach, self._base)
+        self._active: _Phase = self._joint_phase(self.plan.approach, self._base, learns=True)
         self._memory: ServoMemory | None = None
         self._held: HeldObject | None = None
         self._closing: ClosePhase | None = None
@@ -237,8 +237,8 @@ class PhaseController:
     def _bounds(self, force: float) -> Array:
         return np.full(len(self.grasp.fingers), force)
 
-    def _joint_phase(self, motion: JointTrajectory, base: BaseMotion) -> JointPhase:
-        return JointPhase(self._servo, motion, self.settings, base, self._bounds(_APPROACH_FORCE))
+    def _joint_phase(self, motion: JointTrajectory, base: BaseMotion, learns: bool = False) -> JointPhase:
+        return JointPhase(self._servo, motion, self.settings, base, self._bounds(_APPROACH_FORCE), learns)
 
     def _output_feedback(self, grasp: Grasp) -> FeedbackController:
         """Return the object controller of a touched grasp."""

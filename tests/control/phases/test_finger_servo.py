@@ -127,3 +127,13 @@ def test_bounded_feedback_accelerates_the_tips_as_its_forces_do(name, seed):
     expected = mobility @ wanted.f_feedback.ravel()
     # the matrix is regularised by 1e-6 of its mean diagonal
     np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-3 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("learns", [True, False])
+def test_friction_is_learned_only_where_no_finger_may_touch(learns):
+    """The force of a contact would count as friction: opening fingers that still press would learn far too much of it."""
+    moving = JointMotion(REST, np.full(HAND.n, 0.2))
+    memory = SERVO.initial_memory(Measurement(0.0, REST))
+    for k in range(100):
+        _, memory = SERVO.step(memory, Measurement(1e-3 * k, REST), moving, np.full(3, 20.0), is_free=True, learns=learns)
+    assert (memory.friction > 0.0).any() == learns

@@ -58,7 +58,7 @@ class RunningServo:
         self._q, self.speed = grasp.q, speed
         _, self._rates = TipMotion(grasp.hand, grasp.fingers).advance(grasp.q, np.array([[1.0], [0.0], [0.0]]) * normals, 1e-6)
 
-    def step(self, memory, measurement, desired, bounds, *, is_free=False, predicted=True):
+    def step(self, memory, measurement, desired, bounds, *, is_free=False, learns=True, predicted=True):
         v, none = self.speed * self._rates, np.zeros((3, 3))
         return ServoStep(np.zeros(len(v)), self._q, v, none, none, none), memory
 
