@@ -2,7 +2,8 @@
 
 ``run`` appends outcomes to a file. It skips the tasks that the file holds, so that it can be interrupted and started again.
 ``--slice K/N`` runs a part of the cases, which samples every collection evenly. ``pages`` merges files into one packed record,
-and writes two pages from it. ``compare`` compares two records, and names the tasks whose verdicts differ.
+and writes two reports from it and the numbers of the README's table. ``compare`` compares two records, and names the tasks
+whose verdicts differ.
 
 The tasks, each with at most `LIMIT` of processor time per solve:
 
@@ -93,8 +94,8 @@ def run(options: argparse.Namespace) -> None:
 
 
 def pages(options: argparse.Namespace) -> None:
-    """Merge files, write the record, and write the pages of the suite and of its hard cases in SI units."""
-    from graspforce.bench import report  # draws figures; the processes of solvers do without
+    """Merge files, write the record, the reports of the suite and of its hard cases in SI units, and the history."""
+    from graspforce.bench import report, site  # these draw figures; the processes of solvers do without
 
     conditions, outcomes = merge_races(options.files)
     pack(options.record, conditions, outcomes)
@@ -107,6 +108,8 @@ def pages(options: argparse.Namespace) -> None:
         command = "python -m benchmarks.suite run --save FILE"
         if own:
             print(report.write(options.results / folder, {**conditions, "missing": lacking}, _ordered(own), command))
+    own = [outcome for outcome in outcomes if outcome.task.units == "scaled"]
+    site.save_history(options.results / "suite" / "history.json", conditions, _ordered(own))
 
 
 def _ordered(outcomes: Iterable[RaceOutcome]) -> list[RaceOutcome]:

@@ -1,16 +1,24 @@
-"""Add pages that are written elsewhere: benchmark results, the changelog, the bibliography and the example gallery."""
+"""Add pages that are written elsewhere: benchmark results, the changelog, the bibliography and the example gallery.
+
+The interactive page of the benchmark is written here, from the record of the whole suite.
+"""
 
 from __future__ import annotations
 
 import ast
 import re
+import shutil
+import tempfile
 from pathlib import Path
 from typing import Any
 
 from mkdocs.structure.files import File, Files
 
+from graspforce.bench import outcome, site
+
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
+SUITE_RECORD = RESULTS / "records" / "suite" / "run-1.jsonl.xz"
 
 
 def on_files(files: Files, config: Any) -> Files:
@@ -25,7 +33,18 @@ def on_files(files: Files, config: Any) -> Files:
     for picture in sorted(RESULTS.rglob("*.png")):
         name = f"benchmarks/{picture.relative_to(RESULTS).as_posix()}"
         files.append(File.generated(config, name, abs_src_path=str(picture)))
+    files.append(File.generated(config, "benchmarks/solvers/index.html", content=solver_page()))
     return files
+
+
+def solver_page() -> str:
+    """Return the interactive page of the whole suite, with the history of earlier versions."""
+    conditions, outcomes = outcome.load(SUITE_RECORD)
+    scaled = [one for one in outcomes if one.task.units == "scaled"]
+    with tempfile.TemporaryDirectory() as folder:
+        shutil.copy(RESULTS / "suite" / "history.json", folder)
+        page = site.write_site(Path(folder), conditions, scaled, "python -m benchmarks.suite run --save FILE")
+        return page.read_text()
 
 
 def results_index(readme: str) -> str:

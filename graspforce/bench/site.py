@@ -40,7 +40,7 @@ def write_site(folder: Path, conditions: Mapping[str, Any], outcomes: Sequence[R
         command: the command that reproduces the race.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    history = _updated_history(folder / "history.json", conditions, outcomes)
+    history = save_history(folder / "history.json", conditions, outcomes)
     data = {**page_data(conditions, outcomes), "command": command, "history": history}
     parts = {
         "css": _part("page.css"),
@@ -106,8 +106,14 @@ def _case_record(name: str, feasible: Mapping[tuple[str, bool], bool]) -> dict[s
     }
 
 
-def _updated_history(path: Path, conditions: Mapping[str, Any], outcomes: Sequence[RaceOutcome]) -> list[dict[str, Any]]:
-    """Return the history with the results of this race, and save it. Equal versions replace their earlier results."""
+def save_history(path: Path, conditions: Mapping[str, Any], outcomes: Sequence[RaceOutcome]) -> list[dict[str, Any]]:
+    """Add the results of a race to a history, save it, and return it. Equal versions replace their earlier results.
+
+    Args:
+        path: ``history.json``; created if missing.
+        conditions: machine, versions and limits of the race.
+        outcomes: all outcomes.
+    """
     known = json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
     versions = conditions["versions"]
     data = conditions.get("problems", {}).get("version", "")

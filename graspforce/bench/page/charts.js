@@ -45,6 +45,11 @@ function profileChart(chosen, onlyCommon) {
   return chart(`Profile, ${which}`, lines, x, y, ticks, [0, 25, 50, 75, 100].map((t) => [t, t]), "time / shortest time on the case", "cases solved, %");
 }
 
+function timeLabel(seconds) {
+  const [scale, unit] = seconds >= 0.999 ? [1, "s"] : seconds >= 0.999e-3 ? [1e3, "ms"] : [1e6, "µs"];
+  return `${+(scale * seconds).toPrecision(1)} ${unit}`;
+}
+
 function sizeChart(chosen) {
   const solved = chosen.filter((run) => run.seconds !== null && run.case.feasible[+run.pyramid]);
   if (!solved.length) return "";
@@ -60,7 +65,7 @@ function sizeChart(chosen) {
   });
   const xTicks = [2, 3, 5, 10, 20, 50, 100, 200, 500, 1000].filter((t) => t >= least && t <= most).map((t) => [t, t]);
   const yTicks = [];
-  for (let t = low; t <= 1.01 * high; t *= 10) yTicks.push([t, t >= 1e-3 ? `${+(1e3 * t).toPrecision(1)} ms` : `${+(1e6 * t).toPrecision(1)} µs`]);
+  for (let t = low; t <= 1.01 * high; t *= 10) yTicks.push([t, timeLabel(t)]);
   return chart("Time against size", lines, x, y, xTicks, yTicks, "contacts", "median time of solved cases");
 }
 
