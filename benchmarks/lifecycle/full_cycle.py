@@ -30,7 +30,7 @@ from graspforce.simulation.cycle.table_scene import TableScene
 
 TITLE = "Full cycle"
 SCHEMA = "graspforce/full_cycle/1"
-HANDS = ("dlr_hit2", "allegro_right", "dclaw", "leap_right")
+HANDS = ("dlr_hit2", "allegro_right", "dclaw", "shadow_right", "leap_right")
 MASS, FRICTION = 0.1, 0.6  # kg, and coefficient
 OBJECTS: dict[str, Solid] = {
     "cylinder 50 × 80": Cylinder(0.025, 0.08),

@@ -161,7 +161,7 @@ class PhaseController:
             self._message = ""
             self._active = self._closing = ClosePhase(self._servo, self._detector, plan, self.settings, rest)
         elif self.phase == "retract":
-            self._active = self._joint_phase(self._retraction(servo.q), rest)
+            self._active = self._joint_phase(self._retraction(servo.q), rest, learns=True)
         elif self.phase == "done":
             self._active = HoldJoints(self._servo, plan.q_start, rest, self._bounds(_APPROACH_FORCE))
         elif held is not None:

@@ -21,6 +21,7 @@ OBJECT = "object"
 FLOOR = "floor"
 
 _FLOOR_FRICTION = 0.5
+_ROLLING_RESISTANCE = 2e-4  # m, of objects on the table: lever arm of the normal force; hard bodies have 1e-4 to 5e-4
 _CONDIM = {ContactModel.FRICTIONLESS: 1, ContactModel.POINT: 3, ContactModel.SOFT: 4}
 
 
@@ -185,7 +186,9 @@ def add_floor(spec: mujoco.MjSpec, grasp: Grasp, gravity_H: Array, depth: float,
     part = spec.worldbody.add_body(name=FLOOR, mocap=True, pos=position, quat=quaternion)
     plane = part.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.3, 0.3, 0.01])
     make_passive_geom(plane, FLOOR)
-    add_contact_pair(spec, FLOOR, OBJECT, ContactModel.POINT, (_FLOOR_FRICTION, 0.0), engine)
+    pair = add_contact_pair(spec, FLOOR, OBJECT, ContactModel.POINT, (_FLOOR_FRICTION, 0.0), engine)
+    pair.condim = 6  # with rolling
+    pair.friction = [_FLOOR_FRICTION, _FLOOR_FRICTION, _ROLLING_RESISTANCE, _ROLLING_RESISTANCE, _ROLLING_RESISTANCE]
 
 
 def add_contact_pair(
