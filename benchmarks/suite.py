@@ -9,7 +9,7 @@ The tasks, each with at most `LIMIT` of processor time per solve:
 
 - every solver on every case, with default settings, in the units of the problem, cold, and warm along sequences;
 - the collections `hard` and `infeasible` with default and high settings in SI units;
-- the smoke set with low and high settings, in the units of the problem.
+- the smoke set with low and high settings and in single precision, in the units of the problem.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import os
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -56,7 +57,7 @@ def suite_plans(solvers: Sequence[str] = ()) -> tuple[race.RacePlan, ...]:
     """
     whole = race.make_race_plan(solvers, max_cases=0, limit=LIMIT)
     hard = replace(whole, settings=("default", "high"), units=("si",), collections=HARD)
-    return whole, hard, replace(whole, settings=("low", "high"), cases=problems.smoke_names())
+    return whole, hard, replace(whole, settings=("low", "high", "float32"), cases=problems.smoke_names())
 
 
 def suite_tasks(plans: Iterable[race.RacePlan]) -> list[RaceTask]:
@@ -107,14 +108,25 @@ def pages(options: argparse.Namespace) -> None:
         lacking = sum(task.units == units for task in missing)
         command = "python -m benchmarks.suite run --save FILE"
         if own:
-            print(report.write(options.results / folder, {**conditions, "missing": lacking}, _ordered(own), command))
+            facts = {**conditions, "missing": lacking, "sessions": _sessions_of(conditions, own)}
+            print(report.write(options.results / folder, facts, _ordered(own), command))
     own = [outcome for outcome in outcomes if outcome.task.units == "scaled"]
     site.save_history(options.results / "suite" / "history.json", conditions, _ordered(own))
 
 
+def _sessions_of(conditions: dict[str, Any], outcomes: Sequence[RaceOutcome]) -> list[dict[str, Any]]:
+    """Return the sessions of a record with the number of tasks in a part of it, which a record of several does not tell."""
+    sessions = [dict(session) for session in conditions["sessions"]]
+    for session in sessions:
+        session.pop("tasks", None)
+    if len(sessions) == 1:
+        sessions[0]["tasks"] = Counter(outcome.task.solver for outcome in outcomes)
+    return sessions
+
+
 def _ordered(outcomes: Iterable[RaceOutcome]) -> list[RaceOutcome]:
     """Return outcomes by settings, then by kind of cone, then by solver as the registry lists them."""
-    settings, solvers = ("default", "low", "high"), tuple(SOLVERS)
+    settings, solvers = ("default", "low", "high", "float32"), tuple(SOLVERS)
 
     def place(outcome: RaceOutcome) -> tuple[Any, ...]:
         task = outcome.task

@@ -47,12 +47,14 @@ class SolverResult:
         f: (k,) stacked contact forces, N and N·m; None if not solved.
         multipliers: multipliers of the optimum or of the infeasibility certificate; None if the solver returned none.
         iterations: number of iterations that the solver reports; 0 if it reports none.
+        row_error: largest violation of the rows that the solver got, see `relative_row_error`; None if it got no program.
     """
 
     status: SolverStatus
     f: Array | None
     multipliers: Multipliers | None
     iterations: int
+    row_error: float | None = None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -91,11 +93,37 @@ def make_result(program: ConicProgram, status: SolverStatus, x: Any, y: Any, z: 
     """
     parts = [None if part is None else np.array(part, dtype=np.float64).ravel() for part in (x, y, z)]
     x, y, z = (part if part is not None and np.isfinite(part).all() else None for part in parts)
-    f = program.forces(x) if x is not None and status is SolverStatus.SOLVED else None
+    f, row_error = None, None
+    if x is not None and status is SolverStatus.SOLVED:
+        f, row_error = program.forces(x), relative_row_error(program, x)
     multipliers = None
     if y is not None and z is not None and program.problem.uncertainty is None:  # the certificate is that of one problem
         multipliers = program.multipliers(y, np.maximum(z, 0.0))
-    return SolverResult(status, f, multipliers, int(iterations))
+    return SolverResult(status, f, multipliers, int(iterations), row_error)
+
+
+def relative_row_error(program: ConicProgram, x: Array) -> float:
+    """Return the largest violation of A x = b, C x ≤ d and r − S x in the cones, as solvers measure it.
+
+        violation / (1 + largest number of A x, b, C x, d, S x and r)
+
+    Args:
+        program: the program in the units that the solver got.
+        x: (m,) its solution.
+    """
+    with np.errstate(all="ignore"):  # a diverged solver returns numbers that overflow
+        products = [program.A @ x, program.C @ x, program.S @ x]
+        slack, start = program.r - products[2], 0
+        violations = [np.abs(products[0] - program.b), np.maximum(products[1] - program.d, 0.0)]
+        for size in program.cones:
+            part = slack[start : start + size]
+            violations.append(np.maximum(np.linalg.norm(part[1:]) - part[:1], 0.0))
+            start += size
+        largest = max(
+            (float(np.abs(part).max()) for part in (*products, program.b, program.d, program.r) if len(part)), default=0.0
+        )
+        error = max((float(part.max()) for part in violations if len(part)), default=0.0) / (1.0 + largest)
+    return error if np.isfinite(error) else float(np.finfo(float).max)
 
 
 def lower_bounds(program: ConicProgram) -> Array:

@@ -44,7 +44,7 @@ class ReportedAnswer:
     Args:
         case: name of the case.
         pyramid: whether exact cones were replaced by inner pyramids.
-        settings: accuracy that was asked for.
+        settings: requested accuracy.
         status: status that the solver returned.
         x: variables, or None.
         y: multipliers of the equations, or None.
@@ -96,6 +96,24 @@ def judge_answers(solver: str, answers: Sequence[ReportedAnswer]) -> tuple[RaceO
         InvalidInput: a vector does not have the size of its program.
     """
     return tuple(_outcome(solver, answer, f"rows[{i}]") for i, answer in enumerate(answers))
+
+
+def check_unique(answers: Sequence[ReportedAnswer]) -> None:
+    """Check that no case, cone and settings has two answers, which would count twice.
+
+    Args:
+        answers: the answers.
+
+    Raises:
+        InvalidInput: two answers are for the same case, cone and settings.
+    """
+    first: dict[tuple[str, bool, str], int] = {}
+    for i, answer in enumerate(answers):
+        earlier = first.setdefault((answer.case, answer.pyramid, answer.settings), i)
+        if earlier != i:
+            raise InvalidInput(
+                f"rows[{i}].case", answer.case, f"the only answer for its cone and settings; see rows[{earlier}]"
+            )
 
 
 def _outcome(solver: str, answer: ReportedAnswer, path: str) -> RaceOutcome:

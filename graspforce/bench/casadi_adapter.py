@@ -84,7 +84,8 @@ def bind_nonlinear(
 
     def read(output: Any) -> SolverResult:
         solution, stats = output
-        status = SolverStatus.SOLVED if stats["success"] else SolverStatus.NO_ANSWER
+        is_optimal = stats["success"] and stats["return_status"] != "Feasible_Point_Found"
+        status = SolverStatus.SOLVED if is_optimal else SolverStatus.NO_ANSWER
         if stats["return_status"] in infeasible:
             status = SolverStatus.INFEASIBLE
         duals = np.array(solution["lam_g"]).ravel()

@@ -19,6 +19,7 @@ from graspforce.core.errors import InvalidInput
 
 _MACHINE = ("machine", "cores", "python")
 _COMMON = ("limit", "problems")  # equal in all parts
+_PACKAGES = ("graspforce", "numpy", "scipy")  # whose versions count beside those of the solvers
 
 
 def merge_races(paths: Iterable[Path]) -> tuple[dict[str, Any], list[RaceOutcome]]:
@@ -40,7 +41,7 @@ def merge_races(paths: Iterable[Path]) -> tuple[dict[str, Any], list[RaceOutcome
         common = common or own
         new = [outcome for outcome in outcomes if outcome.task not in merged]
         used = {outcome.task.solver for outcome in new}
-        given = {name: version for name, version in conditions["versions"].items() if name in used or name == "graspforce"}
+        given = {name: version for name, version in conditions["versions"].items() if name in used or name in _PACKAGES}
         different = [name for name in _COMMON if own[name] != common[name]]
         different += [f"version of {name}" for name, version in given.items() if versions.get(name, version) != version]
         if different:

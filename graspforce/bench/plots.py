@@ -149,10 +149,11 @@ def _contact_ticks(limits: tuple[float, float]) -> list[int]:
 
 
 def _accuracy(axis: Any, groups: Sequence[OutcomeGroup], solvers: Sequence[str]) -> None:
-    """Draw one line per solver, through its settings from low to high."""
+    """Draw one line per solver, through its settings from low to high, in double precision."""
     order = {"low": 0, "default": 1, "high": 2}
     lines: dict[str, list[tuple[float, float]]] = {}
-    for group in sorted(groups, key=lambda one: order[one.settings]):
+    double = [group for group in groups if group.settings in order]
+    for group in sorted(double, key=lambda one: order[one.settings]):
         for solver, (time, residual) in median_accuracy(group).items():
             lines.setdefault(solver, []).append((time, max(residual, 1e-17)))
     for solver, points in lines.items():

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import platform
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +24,7 @@ from graspforce.bench.registry import installed_solvers, load_adapter, version
 from graspforce.core.errors import InvalidInput
 
 UNITS = ("scaled", "si")
-MAX_PYRAMID_CONTACTS = 100  # dense programs with 8 facets per contact take minutes above this
-MAX_CONE_CONTACTS = 500  # dense cone programs take minutes above this
-_UNLIMITED_SOLVER = "structured"  # builds no dense program
+MAX_PYRAMID_CONTACTS = 300  # dense programs with 8 facets per contact take minutes to build above this
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,8 +126,7 @@ def race_tasks(race: RacePlan) -> Iterator[RaceTask]:
             for units in race.units:
                 for pyramid in (False, True):
                     for name, contacts, is_pyramid in facts:
-                        largest = MAX_PYRAMID_CONTACTS if pyramid else MAX_CONE_CONTACTS
-                        too_large = contacts > largest and not (solver == _UNLIMITED_SOLVER and not pyramid)
+                        too_large = pyramid and contacts > MAX_PYRAMID_CONTACTS
                         if too_large or (is_pyramid and not pyramid) or not (module.EXACT_CONES or pyramid):
                             continue
                         yield RaceTask(solver, settings, units, pyramid, False, name)
@@ -197,18 +196,23 @@ def run_tasks(
     elif save is not None:
         write_header(save, facts)
     missing = [task for task in tasks if task not in known]
-    done, before_race = len(tasks) - len(missing), clock_state()
+    done, before_race, begin = len(tasks) - len(missing), clock_state(), time.monotonic()
+    clocks: list[dict[str, Any]] = []
     progress("", done, len(tasks))
-    for outcome in start(missing):
-        task = outcome.task
-        known[task] = outcome
-        if save is not None:
-            append(save, outcome)
-        done += 1
-        progress(f"{task.solver} {task.settings} {task.units} {task.case}", done, len(tasks))
-    clocks = [{"before": before_race, "after": clock_state(), "workers": workers}] if missing else []
-    if save is not None and clocks:
-        append_clock(save, clocks[0])
+    try:
+        for outcome in start(missing):
+            task = outcome.task
+            known[task] = outcome
+            if save is not None:
+                append(save, outcome)
+            done += 1
+            progress(f"{task.solver} {task.settings} {task.units} {task.case}", done, len(tasks))
+    finally:
+        if missing:
+            elapsed = round(time.monotonic() - begin, 1)  # s
+            clocks = [{"before": before_race, "after": clock_state(), "workers": workers, "seconds": elapsed}]
+            if save is not None:
+                append_clock(save, clocks[0])
     return {**facts, "clocks": [*earlier_clocks, *clocks]}, [known[task] for task in tasks if task in known]
 
 
@@ -230,7 +234,8 @@ def race_conditions(race: RacePlan) -> dict[str, Any]:
     Args:
         race: the plan.
     """
-    versions = {"graspforce": graspforce.__version__, **{solver: version(solver) for solver in race.solvers}}
+    packages = {name: metadata.version(name) for name in ("numpy", "scipy")}
+    versions = {"graspforce": graspforce.__version__, **packages, **{solver: version(solver) for solver in race.solvers}}
     data = {"version": problems.DATA_VERSION, "sha256": problems.data_hash()}
     return {"machine": processor(), "cores": os.cpu_count(), "python": platform.python_version(), "limit": race.limit} | {
         "versions": versions,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -9,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from graspforce.bench.conditions import clock_sentence
-from graspforce.bench.judge import ACCEPTED_RESIDUAL, CORRECT_VERDICTS, WRONG_LOAD_ERROR, WRONG_RESIDUAL, Verdict
+from graspforce.bench.judge import ACCEPTED_RESIDUAL, CORRECT_VERDICTS, TRUE_CLAIM, WRONG_LOAD_ERROR, WRONG_RESIDUAL, Verdict
 from graspforce.bench.outcome import RaceOutcome
 from graspforce.bench.plots import draw_figures
+from graspforce.bench.race import MAX_PYRAMID_CONTACTS
 from graspforce.bench.statistics import (
     SHIFT,
     OutcomeGroup,
@@ -24,11 +26,12 @@ from graspforce.bench.statistics import (
 from graspforce.bench.worker import FACETS
 
 _WIDTH = 120  # characters per line
+_REFERENCE = "clarabel"  # solver whose time is the unit of ratios between machines
 _MAX_NAMED_CASES = 4  # cases that are named for each fault
 _FAULTS = (Verdict.WRONG, Verdict.TIMED_OUT, Verdict.CRASHED)
 _VARIES = "varies"
 _FAULT_WORDS = {
-    Verdict.WRONG.value: "reported solved or infeasible, and is not",
+    Verdict.WRONG.value: "a false claim at the requested tolerance",
     Verdict.TIMED_OUT.value: "stopped at the limit of processor time on each of three tries",
     Verdict.CRASHED.value: "raised an exception or ended its process",
     _VARIES: "several runs of a task got different verdicts; the worst counts",
@@ -62,7 +65,8 @@ def _page(
     limit = float(conditions["limit"])
     yield "# Solvers on grasp-force problems"
     yield ""
-    yield from _prose(" ".join(condition_sentences(conditions, outcomes)) + f" Command: `{command}`.")
+    yield from _prose(" ".join(condition_sentences(conditions, outcomes)))
+    yield from _prose(f"Command: `{command}`.")
     yield from _legend()
     for group in groups:
         yield from _verdicts(group, summarize_solvers(group, limit), conditions["versions"])
@@ -120,6 +124,8 @@ def _session_sentences(session: Mapping[str, Any]) -> Iterator[str]:
     clocks = session.get("clocks", ())
     if (most := max((clock.get("workers", 1) for clock in clocks), default=1)) > 1:
         yield f"Up to {most} solvers ran at once."
+    if clocks and all("seconds" in clock for clock in clocks):
+        yield f"It took {sum(clock['seconds'] for clock in clocks) / 3600.0:.1f} h."
     yield from dict.fromkeys(map(clock_sentence, clocks))
 
 
@@ -130,20 +136,23 @@ def _prose(text: str) -> Iterator[str]:
 
 
 def _legend() -> Iterator[str]:
-    accepted, wrong = (
+    accepted, wrong, claim = (
         ", ".join(f"{name} {value:.0e}" for name, value in residuals.items())
-        for residuals in (ACCEPTED_RESIDUAL, WRONG_RESIDUAL)
+        for residuals in (ACCEPTED_RESIDUAL, WRONG_RESIDUAL, TRUE_CLAIM)
     )
     yield from _prose(
-        "Every answer is judged by its numbers; the solver's own status does not count. Forces are judged by themselves: by "
+        "Every answer is judged by its numbers; the solver's status only states its claim. Forces are judged by themselves: by "
         "their violation of the constraints, and by their cost against the proven optimum. "
         f"Both must be at most, by settings: {accepted}. *Certified*: the multipliers prove the answer. *Correct, without "
-        "multipliers*: correct forces of a solver that returns no multipliers. *Correct, inexact multipliers*: the multipliers "
+        "multipliers*: correct forces of a solver that returns no multipliers, or of a robust case, whose multipliers are not "
+        "judged. *Correct, inexact multipliers*: the multipliers "
         "do not prove the forces. *Unproven*: correctly reported infeasible, without a valid proof. *Correct* adds these four. "
         "*Claimed*: reported solved or infeasible. "
-        f"*Inexact*: reported solved, with a larger residual. *Wrong*: reported solved with a residual above, by settings: "
-        f"{wrong}; at high settings also with forces that miss more than {WRONG_LOAD_ERROR['high']:.0e} of the load; or "
-        "reported infeasible although feasible. "
+        "*Inexact*: a larger residual, from a claim that is true at the requested tolerance. *Wrong*: a false claim at this "
+        f"tolerance. It is reported solved with a residual above, by settings: {wrong}; or at high settings with forces that "
+        f"miss more than {WRONG_LOAD_ERROR['high']:.0e} of the load; and it violates the solver's own rows by more than: "
+        f"{claim}, relative to their numbers, or exceeds the optimal cost by so much. Or it is reported infeasible although "
+        "feasible, and the ray of the solver does not exclude forces to the accepted residual. "
         "*No answer*: the solver reports that it found none. *Timed out*: stopped at the limit. *Unsupported*: the solver does "
         f"not support such problems; counts as not correct. Pyramids have {FACETS} facets inside the exact cone, or are given "
         "by the case. *Scaled*: rows and variables in the problem's own units; *SI*: newtons and newton metres, not scaled."
@@ -184,21 +193,26 @@ def _times(group: OutcomeGroup, table: Sequence[SolverSummary]) -> Iterator[str]
     common, every = (len(feasible_cases(group, only_common)) for only_common in (True, False))
     yield f"**{_title(group)}**, {common} common cases of {every} feasible ones"
     yield ""
-    best = min(row.mean for row in table)
-    ordered = sorted(table, key=lambda row: row.mean)
     reported = {outcome.task.solver for outcome in group.outcomes if outcome.time_is_reported}
+    measured = {row.solver: row.mean for row in table if row.solver not in reported}
+    best = min(measured.values(), default=math.nan)
+    reference = measured.get(_REFERENCE, math.nan)
+    ordered = sorted(table, key=lambda row: row.mean)
     lines = [
         [
             row.solver + " (reported)" * (row.solver in reported),
             f"{1e3 * row.mean:.3g}",
             f"{row.mean / best:.1f}",
+            f"{row.mean / reference:.2f}",
             f"{1e6 * row.median:.0f}",
         ]
         for row in ordered
     ]
     if reported:
         yield from _prose("*Reported*: times of the solver's author on another machine, not measured here.")
-    yield from _table(["solver", "shifted mean, ms", "× best", "median of correct, µs"], lines)
+    columns = ["solver", "shifted mean, ms", "× best", f"× {_REFERENCE}", "median of correct, µs"]
+    shown = [k for k in range(len(columns)) if k != 3 or _REFERENCE in measured]
+    yield from _table([columns[k] for k in shown], [[line[k] for k in shown] for line in lines])
 
 
 def _infeasible(groups: Sequence[OutcomeGroup]) -> Iterator[str]:
@@ -347,8 +361,9 @@ _LIMITATIONS = (
     "for solvers that compute in single precision, with programs rounded to it. Solvers without tolerances (structured, "
     "quadprog, qpoases, qrqp) behave the same in all settings. The structured kernel reads the problem itself, in its own "
     "units.",
-    "Cases whose dense program takes minutes to build are omitted: pyramids of more than 100 contacts and, except for the "
-    "structured kernel, exact cones of more than 500. Large collections are sampled evenly; `--max-cases 0` runs all cases.",
+    f"Pyramids of more than {MAX_PYRAMID_CONTACTS} contacts are omitted: their dense programs take minutes to build. Large "
+    "collections are sampled evenly; `--max-cases 0` runs all cases.",
+    "hpipm, ipopt, qpoases and qrqp have the version of CasADi, which contains them, and slsqp that of SciPy.",
     "A load that is infeasible by less than the accepted residual counts as held: both answers are correct to that accuracy.",
     "With some options, ProxQP does not terminate on infeasible problems. With its default options, and with tolerances of "
     "1e-9 and 1e-12, dense and sparse, it terminated on all tested programs: 267 programs in SI units with 0.6.7, 0.7.2 and "

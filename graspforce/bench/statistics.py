@@ -116,14 +116,16 @@ def summarize_solvers(group: OutcomeGroup, limit: float) -> list[SolverSummary]:
 
 
 def common_cases(group: OutcomeGroup) -> frozenset[str]:
-    """Return the cases that every solver of a group attempted and supports.
+    """Return the cases that every solver of a group attempted and supports. Handed-in answers do not make them fewer.
 
     Args:
         group: the outcomes.
     """
-    supported: dict[str, set[str]] = {solver: set() for solver in group.solvers}
+    reported = {outcome.task.solver for outcome in group.outcomes if outcome.time_is_reported}
+    here = [solver for solver in group.solvers if solver not in reported] or group.solvers
+    supported: dict[str, set[str]] = {solver: set() for solver in here}
     for outcome in group.outcomes:
-        if outcome.judgement.verdict is not Verdict.UNSUPPORTED:
+        if outcome.judgement.verdict is not Verdict.UNSUPPORTED and outcome.task.solver in supported:
             supported[outcome.task.solver].add(outcome.task.case)
     return frozenset(set.intersection(*supported.values())) if supported else frozenset()
 
@@ -152,7 +154,8 @@ def feasible_cases(group: OutcomeGroup, common: bool) -> frozenset[str]:
 def performance_profile(group: OutcomeGroup, common: bool = True) -> dict[str, list[float]]:
     """Return for each solver the sorted ratios of its time to the shortest time, over feasible cases.
 
-    The profile at τ is the share of ratios ≤ τ (Dolan and Moré 2002). Without a correct solution the ratio is infinite, also
+    The profile at τ is the share of ratios ≤ τ (Dolan and Moré 2002). Times that were not measured here do not count as the
+    shortest one. Without a correct solution the ratio is infinite, also
     for cases that the solver does not support or did not attempt.
 
     Args:
@@ -164,7 +167,9 @@ def performance_profile(group: OutcomeGroup, common: bool = True) -> dict[str, l
     for outcome in group.outcomes:
         if outcome.task.case in cases and outcome.seconds is not None:
             times[outcome.task.case][outcome.task.solver] = outcome.seconds
-    best = {case: min(own.values(), default=math.inf) for case, own in times.items()}
+    reported = {outcome.task.solver for outcome in group.outcomes if outcome.time_is_reported}
+    measured = {case: [time for solver, time in own.items() if solver not in reported] for case, own in times.items()}
+    best = {case: min(measured[case] or own.values(), default=math.inf) for case, own in times.items()}
     return {
         solver: sorted(own[solver] / best[case] if solver in own else math.inf for case, own in times.items())
         for solver in group.solvers

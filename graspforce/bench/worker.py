@@ -39,6 +39,7 @@ from graspforce.core.errors import BackendError, GraspForceError
 from graspforce.force.problem import ForceProblem
 from graspforce.force.problem_options import Cone
 from graspforce.force.solver import solve
+from graspforce.force.status import Status
 from graspforce.problems.case import ExpectedOptimum
 
 CaseFacts = tuple[int, bool]  # number of contacts of a case, and whether it is feasible
@@ -79,11 +80,11 @@ class Worker:
         Args:
             task: the task.
         """
-        for _ in range(_MAX_TRIES - 1):
+        for k in range(_MAX_TRIES):
             outcome, asleep = self._try_once(task)
             if outcome.judgement.verdict is not Verdict.TIMED_OUT or asleep:
-                return outcome
-        return self._try_once(task)[0]
+                return dataclasses.replace(outcome, verdict_varies=outcome.verdict_varies or k > 0)
+        return outcome
 
     def _try_once(self, task: RaceTask, use_previous: bool = True) -> tuple[RaceOutcome, bool]:
         """Return the outcome of one try, and whether the wall-clock limit ended the child.
@@ -264,7 +265,7 @@ def _judge_runs(
         results = [solver.read(raw) for solver, raw in runs]
         judgements = [judge(problem, feasible, result, task.settings, optimum) for result in results]
     except Exception:  # malformed output, or an exception in a repeated run
-        return _outcome_without_answer(task, facts, Verdict.CRASHED)
+        return dataclasses.replace(_outcome_without_answer(task, facts, Verdict.CRASHED), verdict_varies=len(runs) > 1)
     judgement = worst_judgement(judgements)
     seconds = statistics.median(times) if judgement.is_solved else None
     return RaceOutcome(
@@ -315,6 +316,8 @@ def load_proven_case(name: str, pyramid: bool) -> tuple[ForceProblem, bool, Expe
         return case.problem, feasible, case.expected if isinstance(case.expected, ExpectedOptimum) else None
     problem = dataclasses.replace(case.problem, cone=Cone("pyramid", FACETS, "inner"))
     solution = solve(problem, explain=False)
-    if not solution.found or solution.objective is None or solution.certificate is None:
+    if solution.status is Status.INFEASIBLE:
         return problem, False, None
+    if not solution.found or solution.objective is None or solution.certificate is None:
+        raise BackendError(f"{name}: the pyramid is neither solved nor proven infeasible")
     return problem, True, ExpectedOptimum(solution.objective, solution.certificate.tolerance)

@@ -12,7 +12,7 @@ import pytest
 
 import graspforce as gf
 from graspforce import problems
-from graspforce.bench.answers import judge_answers, load_answers
+from graspforce.bench.answers import check_unique, judge_answers, load_answers
 from graspforce.bench.judge import Verdict
 from graspforce.bench.registry import load_adapter
 from graspforce.bench.worker import load_case_problem
@@ -93,6 +93,13 @@ def test_other_files_are_rejected(tmp_path: Path) -> None:
         (tmp_path / name).write_text(text)
         with pytest.raises(gf.InvalidInput, match="answers"):
             load_answers(tmp_path / name)
+
+
+def test_a_case_counts_once(tmp_path: Path) -> None:
+    rows = [row("ring/3-force"), row("ring/3-torque"), row("ring/3-force")]
+    with pytest.raises(gf.InvalidInput, match=r"rows\[2\].case = 'ring/3-force': must be the only answer"):
+        check_unique(load_answers(write(tmp_path / "mine.json", rows)))
+    check_unique(load_answers(write(tmp_path / "once.json", rows[:2])))
 
 
 def test_command_judges_answers_without_running_a_solver(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,8 +11,9 @@ from scipy.linalg import null_space
 import graspforce as gf
 from graspforce import problems
 from graspforce.bench import conditions
-from graspforce.bench.adapter import SolverResult, SolverStatus
-from graspforce.bench.judge import Verdict, cost_excess, judge, proven_optimum
+from graspforce.bench.adapter import SolverResult, SolverStatus, make_result
+from graspforce.bench.case_program import case_program
+from graspforce.bench.judge import TRUE_CLAIM, WRONG_RESIDUAL, Verdict, cost_excess, judge, proven_optimum
 from graspforce.problems import ExpectedOptimum
 
 # every objective, exact cones and pyramids, soft fingers, motor limits
@@ -99,6 +100,53 @@ def test_thousand_mutated_answers_are_rejected() -> None:
         verdict = judge(case.problem, True, mutate(rng, case.problem, answer, kind), "high", case.expected).verdict
         assert verdict in (Verdict.WRONG, Verdict.INEXACT), (i, case.name, kind)
         assert verdict is Verdict.WRONG or kind == 2, (i, case.name, kind)  # the cost grows with the square of the step
+
+
+def program_result(problem: gf.ForceProblem, x: np.ndarray) -> SolverResult:
+    """Return the result of a solver that reports x as optimal, without multipliers."""
+    return make_result(case_program(problem), SolverStatus.SOLVED, x, None, None, 1)
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("settings", ["default", "high", "low"])
+def test_row_error_of_an_answer_is_that_of_its_rows(case: str, settings: str) -> None:
+    """The optimum has none; an answer moved by t off its equations has t, relative to the numbers of the program."""
+    problem = problems.load(case).problem
+    program = case_program(problem)
+    x = program.variables(gf.solve(problem).f)
+    assert program_result(problem, x).row_error <= 1e-9
+    off = np.linalg.lstsq(program.A, np.full(len(program.b), 1e-3), rcond=None)[0]
+    largest = max(
+        float(np.abs(part).max(initial=0.0)) for part in (program.b, program.d, program.r, program.S @ x, program.C @ x)
+    )
+    moved = program_result(problem, x + off).row_error
+    assert moved >= 1e-3 / (1.0 + max(1.0, 2.0 * largest))
+    assert moved <= 1e-3 * (1.0 + float(np.abs(off).max()) / 1e-3)
+
+
+@pytest.mark.parametrize(("settings", "claim"), TRUE_CLAIM.items())
+def test_forces_far_from_the_cones_are_wrong_only_if_the_rows_of_the_solver_are_violated(settings: str, claim: float) -> None:
+    """Where friction is tiny, an error of the rows within the tolerance moves the forces far out of their cones."""
+    case = problems.load("ring/3-force")
+    f = 1.5 * gf.solve(case.problem).f
+    for row_error, verdict in ((0.5 * claim, Verdict.INEXACT), (2.0 * claim, Verdict.WRONG), (None, Verdict.WRONG)):
+        found = judge(case.problem, True, dataclasses.replace(solved(f), row_error=row_error), settings, case.expected)
+        assert found.residual > WRONG_RESIDUAL[settings]
+        assert found.verdict is verdict
+
+
+def test_ray_that_excludes_forces_to_the_accepted_residual_is_inexact() -> None:
+    """With friction of 1e-3 a load across the normals needs forces of a thousand times its size."""
+    contacts = gf.ContactSet.stack([gf.Contact([s, 0, 0], [-s, 0, 0], 1e-4) for s in (1.0, -1.0)])
+    problem = gf.ForceProblem(contacts, [0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+    ray = gf.Multipliers(
+        np.array([0.0, 1.0, 0.0, 0.0, 0.0, 0.0]), *np.zeros((2, 2)), *np.zeros((2, 0)), np.zeros(2), np.zeros(3)
+    )
+    claim = SolverResult(SolverStatus.INFEASIBLE, None, ray, 1)
+    assert judge(problem, True, claim, "low").verdict is Verdict.INEXACT
+    assert judge(problem, True, claim, "high").verdict is Verdict.WRONG
+    other = dataclasses.replace(ray, y=np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    assert judge(problem, True, dataclasses.replace(claim, multipliers=other), "low").verdict is Verdict.WRONG
 
 
 def test_forces_that_do_not_hold_an_infeasible_load_are_wrong() -> None:

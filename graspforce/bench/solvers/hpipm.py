@@ -14,6 +14,9 @@ WARM_START = False
 def bind(program: ConicProgram, settings: str) -> BoundSolver:
     """Bind HPIPM: all variables are the state of the first stage, and the second stage is empty.
 
+    A force problem has no stages in time; the interface for optimal control then permits this form only. The tolerances are
+    those of HPIPM's four residuals; its other options keep their defaults in CasADi.
+
     Args:
         program: program without second-order cones.
         settings: accuracy settings, a key of `TOLERANCE`.

@@ -20,6 +20,9 @@ _STATUS = {piqp.PIQP_SOLVED: SolverStatus.SOLVED, piqp.PIQP_PRIMAL_INFEASIBLE: S
 def bind(program: ConicProgram, settings: str) -> BoundSolver:
     """Bind the dense solver of PIQP.
 
+    Requested tolerances are absolute, without a relative part: rows and costs of the programs have unit size, and the
+    certificate measures absolute errors in these units.
+
     Args:
         program: program without second-order cones.
         settings: accuracy settings, a key of `TOLERANCE`.

@@ -24,6 +24,8 @@ _NO_LIMIT = 1e20  # ProxQP's value for a missing bound
 def bind(program: ConicProgram, settings: str, nearest: bool = False) -> BoundSolver:
     """Bind the dense solver of ProxQP; the sparse one is not faster at this size.
 
+    Requested tolerances are absolute, as with PIQP.
+
     Args:
         program: program without second-order cones.
         settings: accuracy settings, a key of `TOLERANCE`.

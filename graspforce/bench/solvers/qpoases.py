@@ -26,6 +26,6 @@ def bind(program: ConicProgram, settings: str) -> BoundSolver:
 
     Args:
         program: program without second-order cones.
-        settings: ignored; qpOASES has no tolerances here.
+        settings: ignored; the default tolerances of qpOASES are those of an exact method, about 1e-9.
     """
     return casadi_adapter.bind(program, "qpoases", {"printLevel": "none", **_OPTIONS}, _INFEASIBLE)

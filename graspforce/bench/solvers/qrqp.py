@@ -16,6 +16,6 @@ def bind(program: ConicProgram, settings: str) -> BoundSolver:
 
     Args:
         program: program without second-order cones.
-        settings: ignored; QRQP has no tolerances here.
+        settings: ignored; the default tolerances of QRQP are those of an exact method, 1e-8 or less.
     """
     return casadi_adapter.bind(program, "qrqp", {"print_iter": False, "print_header": False, "print_info": False})

@@ -118,10 +118,13 @@ def _outcomes(
     """
     import dataclasses
 
-    from graspforce.bench.answers import judge_answers, load_answers
+    from graspforce.bench.answers import check_unique, judge_answers, load_answers
     from graspforce.bench.race import race_conditions
 
-    reported = [outcome for path in answers for outcome in judge_answers(path.stem, load_answers(path))]
+    given = {path.stem: load_answers(path) for path in answers}
+    for rows in given.values():
+        check_unique(rows)
+    reported = [outcome for solver, rows in given.items() for outcome in judge_answers(solver, rows)]
     facts, outcomes = run() if run is not None else (race_conditions(dataclasses.replace(race_plan, solvers=())), [])
     versions = {**facts["versions"], **{path.stem: "(answers only, times reported)" for path in answers}}
     return {**facts, "versions": versions}, [*outcomes, *reported]
