@@ -4,7 +4,7 @@ A file has one answer per row: Parquet, JSON (a list of records) or CSV (numbers
 
     case         name of a case of the library
     cone         "exact" (default), or "pyramid": exact cones replaced by inner pyramids of `FACETS` facets
-    settings     accuracy that was asked for: a key of `TOLERANCE` (default: "default")
+    settings     requested accuracy: a key of `TOLERANCE` (default: "default")
     status       "solved", "infeasible" or "no answer"
     x            variables of the case's program, as `case_program` and the data package state it; empty unless solved
     y, z         its multipliers, or a ray if infeasible: P x + q = Aᵀ y − Cᵀ z − …; both empty for a solver without multipliers
@@ -44,7 +44,7 @@ class ReportedAnswer:
     Args:
         case: name of the case.
         pyramid: whether exact cones were replaced by inner pyramids.
-        settings: accuracy that was asked for.
+        settings: requested accuracy.
         status: status that the solver returned.
         x: variables, or None.
         y: multipliers of the equations, or None.
