@@ -4,7 +4,7 @@ The package graspforce-problems is written with all cases, built as a wheel, and
 reader checks every hash. The environment has no packages but this one and those that it needs.
 
 The second table counts the cases of each difficulty. With `--outcomes`, a file of `python -m benchmarks.suite run` or
-`graspforce bench`, it also says how often the solvers were correct on cases of a difficulty or trait, with the settings "high"
+`graspforce bench`, it also shows how often the solvers were correct on cases of a difficulty or trait, with the settings "high"
 and a cold start; unsupported cases are not counted there.
 """
 
@@ -83,7 +83,7 @@ def build_wheel(source: Path, folder: Path) -> Path:
 
 
 def read_in_new_environment(wheel: Path, folder: Path) -> tuple[dict[str, object], list[str]]:
-    """Install a wheel in a new environment, and return what its reader says, and the names of the other installed packages.
+    """Install a wheel in a new environment, and return the facts of its reader and the names of the other installed packages.
 
     Args:
         wheel: the wheel.

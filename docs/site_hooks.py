@@ -1,6 +1,7 @@
 """Add pages that are written elsewhere: benchmark results, the changelog, the bibliography and the example gallery.
 
-The interactive page of the benchmark is written here, from the record of the whole suite.
+The interactive page of the benchmark is written here, from the record of the whole suite. Links to results and examples in the
+repository become links to these pages.
 """
 
 from __future__ import annotations
@@ -35,6 +36,16 @@ def on_files(files: Files, config: Any) -> Files:
         files.append(File.generated(config, name, abs_src_path=str(picture)))
     files.append(File.generated(config, "benchmarks/solvers/index.html", content=solver_page()))
     return files
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Replace the links of a page to results and examples in the repository by links to the pages of this site.
+
+    Args:
+        markdown: text of the page.
+    """
+    results = re.sub(r"\]\(\.\./((?:\.\./)*)benchmarks/results/", r"](\1benchmarks/", markdown)
+    return re.sub(r"\]\(\.\./((?:\.\./)*)examples\)", r"](\1examples.md)", results)
 
 
 def solver_page() -> str:

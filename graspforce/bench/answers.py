@@ -4,7 +4,7 @@ A file has one answer per row: Parquet, JSON (a list of records) or CSV (numbers
 
     case         name of a case of the library
     cone         "exact" (default), or "pyramid": exact cones replaced by inner pyramids of `FACETS` facets
-    settings     accuracy that was asked for: a key of `TOLERANCE` (default: "default")
+    settings     requested accuracy: a key of `TOLERANCE` (default: "default")
     status       "solved", "infeasible" or "no answer"
     x            variables of the case's program, as `case_program` and the data package state it; empty unless solved
     y, z         its multipliers, or a ray if infeasible: P x + q = Aᵀ y − Cᵀ z − …; both empty for a solver without multipliers

@@ -15,6 +15,11 @@ import yaml
 
 from benchmarks import smoke_comment
 
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
 ROOT = Path(__file__).parents[2]
 FILES = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 HISTORY = ROOT / "benchmarks" / "results" / "suite-smoke" / "history.json"
@@ -81,6 +86,28 @@ def test_comment_follows_the_smoke_workflow_and_reads_its_artifact() -> None:
     name, folder = download["with"]["name"], download["with"]["path"]
     assert f'"{folder}/{Path(uploaded[name]).name}"' in post["with"]["script"]
     assert any(f"> {uploaded[name]}" in step.get("run", "") for step in steps(smoke))
+
+
+def packages_of(extra: str) -> set[str]:
+    """Return the packages that an extra of the project installs, with those of the extras that it names."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    packages, extras = {project["name"]}, [extra]
+    requirements = list(project["dependencies"])
+    for one in extras:  # grows in the loop
+        requirements += project["optional-dependencies"][one]
+        named = [text for text in project["optional-dependencies"][one] if text.startswith("graspforce[")]
+        extras += [each for text in named for each in text[len("graspforce[") : -1].split(",") if each not in extras]
+    return packages | {re.split(r"[\[<>=;]", text)[0] for text in requirements}
+
+
+def test_smoke_installs_every_solver_of_the_benchmark() -> None:
+    """A solver that a pull request adds to the extra takes part; one whose package is not in the extra fails here."""
+    smoke = workflow(ROOT / ".github" / "workflows" / "smoke.yml")
+    assert any(step.get("run") == 'pip install ".[bench]"' for step in steps(smoke))
+    installed = packages_of("bench")
+    for adapter in sorted((ROOT / "graspforce" / "bench" / "solvers").glob("[!_]*.py")):
+        [package] = re.findall(r'^PACKAGE = "(.+)"$', adapter.read_text(), flags=re.M)
+        assert package in installed, adapter.name
 
 
 # A pull request, its comments, and a recorder of calls in place of GitHub; as actions/github-script runs a script.

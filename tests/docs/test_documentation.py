@@ -1,9 +1,10 @@
-"""The documentation is true: its code runs, its JSON parses, its commands exist, its links lead somewhere."""
+"""The documentation is true: its code runs, its JSON parses, its commands exist, its links lead to files."""
 
 from __future__ import annotations
 
 import json
 import re
+import runpy
 import shlex
 from pathlib import Path
 
@@ -34,6 +35,7 @@ PRINTED = {  # what a reader must see where the numbers are known
     "docs/concepts/certificates.md": ("infeasible", "30 is required and at most 20 can be supplied", "1.5000"),
     "docs/force_problem.md": ('"status": "optimal"',),
 }
+INTERACTIVE_PAGE = "benchmarks/solvers/index.html"  # of the site; no file of the repository
 DEFAULT_ADDRESS = "tcp/127.0.0.1:7450"
 MAPPINGS = (".counts", ".latencies", ".clients")  # records by key of a request, or by client
 # arrays whose length depends on the run
@@ -105,20 +107,34 @@ def test_commands_take_the_options_that_pages_show(page, line):
     assert context.params is not None
 
 
+def linked_paths(page: Path, text: str) -> list[Path]:
+    """Targets of the links to files in the text of a page."""
+    targets = re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", text)
+    return [(page.parent / one).resolve() for one in targets if "://" not in one and not one.startswith("mailto:")]
+
+
 @pytest.mark.parametrize("page", PAGES, ids=name)
-def test_links_to_files_lead_somewhere(page):
-    # pages that the site's hooks add
-    built = {"examples.md", "changelog.md", "bibliography.md", "benchmarks/index.md", "benchmarks/solvers/index.html"}
-    for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text()):
-        if "://" in target or target.startswith("mailto:"):
-            continue
-        path = (page.parent / target).resolve()
-        inside = path.relative_to(ROOT / "docs").as_posix() if path.is_relative_to(ROOT / "docs") else ""
-        if inside in built or inside.startswith("benchmarks/"):
-            result = ROOT / "benchmarks" / "results" / inside.removeprefix("benchmarks/")
-            assert inside in built or result.exists(), f"{name(page)}: {target}"
-            continue
-        assert path.exists(), f"{name(page)}: {target}"
+def test_links_to_files_lead_to_files_of_the_repository(page):
+    missing = [path for path in linked_paths(page, page.read_text()) if not path.exists()]
+    assert not [path for path in missing if path != ROOT / "docs" / INTERACTIVE_PAGE]
+
+
+@pytest.fixture(scope="module")
+def site_hooks():
+    """Return the functions of `docs/site_hooks.py`."""
+    pytest.importorskip("mkdocs")
+    return runpy.run_path(str(ROOT / "docs" / "site_hooks.py"))
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page.is_relative_to(ROOT / "docs")], ids=name)
+def test_links_of_the_site_lead_to_its_pages(page, site_hooks):
+    """Links to results and examples lead to the pages that the site's hooks add."""
+    results = ROOT / "benchmarks" / "results"
+    added = {f"benchmarks/{path.relative_to(results).as_posix()}" for path in results.rglob("*.md")}
+    added |= {"examples.md", "changelog.md", "bibliography.md", "benchmarks/index.md", INTERACTIVE_PAGE}
+    for path in linked_paths(page, site_hooks["on_page_markdown"](page.read_text(), page=None)):
+        assert path.is_relative_to(ROOT / "docs"), path
+        assert path.exists() or path.relative_to(ROOT / "docs").as_posix() in added, path
 
 
 def test_every_benchmark_page_is_in_the_list_of_benchmarks():

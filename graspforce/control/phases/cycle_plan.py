@@ -52,7 +52,7 @@ class BaseMotion(NamedTuple):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CyclePlan:
-    """What a hand is to do with an object on a table.
+    """Plan of a grasp cycle: grasp, postures, approach and base motion.
 
     Args:
         grasp: the grasp with the object where it is expected on the table.

@@ -32,7 +32,7 @@ _YIELD_TIME = 0.05  # s: lag with which the target of an object on the table fol
 
 
 class HeldObject(NamedTuple):
-    """What the object phases of a cycle share.
+    """Data that the object phases of a cycle share.
 
     Attributes:
         grasp: the grasp after the touch, with the pose that the object is to keep.

@@ -155,7 +155,7 @@ class PhaseController:
         self._phase_start = t
         rest = BaseMotion.at_rest(base.p)
         if ended in ("squeeze", "place") and isinstance(self._active, SqueezePhase | CarryPhase):
-            self._held = self._active.target.held()  # the table has decided where the object is
+            self._held = self._active.target.held()  # the pose to which the target moved on the table
         plan, held = self.plan, self._held
         if self.phase == "close":
             self._message = ""

@@ -16,7 +16,7 @@ PHASE_NAMES: tuple[PhaseName, ...] = get_args(PhaseName)
 
 @dataclass(frozen=True, slots=True)
 class PhaseRule:
-    """What begins and ends a phase.
+    """Conditions that begin and end a phase, its time limit and its safe stop.
 
     Attributes:
         name: name of the phase, as on the wire.

@@ -1,4 +1,4 @@
-"""What a phase of a grasp gets and returns in one control period."""
+"""Inputs and outputs of a phase of a grasp in one control period."""
 
 from __future__ import annotations
 

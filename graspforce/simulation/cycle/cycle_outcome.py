@@ -25,7 +25,7 @@ _LAST_TIME = 0.1  # s at the end over which that load is averaged: a standing ob
 
 @dataclass(frozen=True, slots=True)
 class CycleOutcome:
-    """What became of a cycle.
+    """Outcome of a cycle.
 
     Attributes:
         status: "done", or the first of "stopped", "not lifted", "dropped", "not placed", "not released" that is true.

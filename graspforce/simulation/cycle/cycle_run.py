@@ -59,7 +59,7 @@ class CycleRecording:
     """The steps of a cycle. Arrays have K rows, one for each step.
 
     Attributes:
-        scene: the scene that the controller was told.
+        scene: the scene that the controller knows.
         world: the world.
         records: phases that ended, in order.
         message: why the cycle stopped; empty if it is done.
@@ -127,7 +127,7 @@ class TablePlant:
     acceleration; see `Plant.move_base`.
 
     Args:
-        scene: the scene as told.
+        scene: the scene that the controller knows.
         world: the world.
         pose: true pose of the object's surface frame, p_HO in m and R_HO; balls and superquadrics roll from there into rest.
         q: (n,) start posture, rad.
@@ -237,7 +237,7 @@ class _Builder:
 
         Args:
             controller: the controller at the end.
-            scene: the scene that it was told.
+            scene: the scene that it knows.
             world: the world.
             message: why the cycle stopped; empty if it is done.
         """
@@ -270,7 +270,7 @@ def run_cycle(
     Args:
         table: the plant at its start.
         controller: the controller; it is reset.
-        scene: the scene that the controller was told.
+        scene: the scene that the controller knows.
         world: sensors, delay and seed.
         duration: longest simulated time, s.
         on_step: called after each step; if it returns False, the run ends.

@@ -1,4 +1,4 @@
-"""An episode: a world with a displaced object, and the controller of a cycle in it, with told or with full knowledge."""
+"""An episode: a world with a displaced object, and the controller of a cycle in it, with nominal or with full knowledge."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def run_episode(
     A controller with full knowledge knows hand, object, friction and pose; its sensors are perfect but late.
 
     Args:
-        scene: the scene as told.
+        scene: the nominal scene.
         plan: its plan.
         world: the world.
         pose_error: error of the object's expected pose.
@@ -91,12 +91,12 @@ def run_episode(
 
 
 def known_scene(scene: TableScene, world: World, control: ControlSettings) -> tuple[TableScene, World, ControlSettings]:
-    """Return a scene that tells the truth about a world, the world relative to it, and settings without assumed errors.
+    """Return a scene with the true values of a world, the world relative to it, and settings without assumed errors.
 
-    Surface and fingertips are where they are told; motor torques are exact. Round objects are where they rest.
+    Surface and fingertips are where the scene has them; motor torques are exact. Round objects are where they rest.
 
     Args:
-        scene: the scene as told.
+        scene: the nominal scene.
         world: the world.
         control: settings of the object controller.
     """
