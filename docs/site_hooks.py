@@ -49,12 +49,11 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 
 
 def solver_page() -> str:
-    """Return the interactive page of the whole suite, with the history of earlier versions."""
+    """Return the interactive page of the whole suite in all units, with the history of earlier versions."""
     conditions, outcomes = outcome.load(SUITE_RECORD)
-    scaled = [one for one in outcomes if one.task.units == "scaled"]
     with tempfile.TemporaryDirectory() as folder:
         shutil.copy(RESULTS / "suite" / "history.json", folder)
-        page = site.write_site(Path(folder), conditions, scaled, "python -m benchmarks.suite run --save FILE")
+        page = site.write_site(Path(folder), conditions, outcomes, "python -m benchmarks.suite run --save FILE")
         return page.read_text()
 
 

@@ -35,11 +35,13 @@ def readme_table(history: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _cells(entry: Mapping[str, Any] | None, reference: Mapping[str, Any]) -> tuple[str, str, str]:
-    """Return the share of correct answers, the number of wrong ones, and the ratio of times."""
+    """Return the share of correct answers, the number of wrong ones, and the ratio of times, marked if they are reported."""
     if entry is None:
         return "–", "–", "–"
     has_times = entry["mean"] is not None and reference["mean"] is not None
     ratio = f"{entry['mean'] / reference['mean']:.1f} ×" if has_times else "–"
+    if has_times and (entry.get("reported", False) or reference.get("reported", False)):
+        ratio += " (reported)"
     return f"{entry['correct']} of {entry['cases']}", str(entry["wrong"]), ratio
 
 

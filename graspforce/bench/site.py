@@ -16,21 +16,33 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from graspforce import problems
 from graspforce.bench.export.tags import case_tags
-from graspforce.bench.judge import CORRECT_VERDICTS, Verdict
+from graspforce.bench.judge import CORRECT_VERDICTS, WRONG_LOAD_ERROR, WRONG_RESIDUAL, Verdict
 from graspforce.bench.outcome import RaceOutcome
 from graspforce.bench.report import condition_sentences
 from graspforce.bench.statistics import group_outcomes, summarize_solvers
 from graspforce.core.whole_file import write_text
+from graspforce.hand.actuation import Actuation
 from graspforce.problems.case import Case, ExpectedOptimum
 
 MAX_DRAWN_CONTACTS = 40  # contacts in the picture of a case
 _DIGITS, _RESIDUAL_DIGITS = 3, 2  # significant digits of positions, normals and times, and of residuals
-_SCRIPTS = ("statistics.js", "charts.js", "views.js")
+_SCRIPTS = ("statistics.js", "charts.js", "reproduce.js", "views.js")
+# An entry of a history replaces an earlier one with equal fields. Entries of earlier versions lack some of them.
+_HISTORY_KEYS = ("solver", "version", "graspforce", "data", "group", "cases", "limit")
 
 
-def write_site(folder: Path, conditions: Mapping[str, Any], outcomes: Sequence[RaceOutcome], command: str) -> Path:
+def write_site(
+    folder: Path,
+    conditions: Mapping[str, Any],
+    outcomes: Sequence[RaceOutcome],
+    command: str,
+    problem_folder: Path | None = None,
+    answer_files: Sequence[Path] = (),
+) -> Path:
     """Write ``index.html`` and ``history.json`` into a folder, and return the page's path.
 
     Args:
@@ -38,10 +50,16 @@ def write_site(folder: Path, conditions: Mapping[str, Any], outcomes: Sequence[R
         conditions: machine, versions and limits of the race.
         outcomes: all outcomes.
         command: the command that reproduces the race.
+        problem_folder: folder of collections that replaced the library; None for the library.
+        answer_files: files with the answers of solvers that did not run here; each file has the name of its solver.
     """
     folder.mkdir(parents=True, exist_ok=True)
     history = save_history(folder / "history.json", conditions, outcomes)
-    data = {**page_data(conditions, outcomes), "command": command, "history": history}
+    sources = {
+        "folder": "" if problem_folder is None else str(problem_folder),
+        "answers": {path.stem: str(path) for path in answer_files},
+    }
+    data = {**page_data(conditions, outcomes), **sources, "command": command, "history": history}
     parts = {
         "css": _part("page.css"),
         "script": "\n".join(_part(name) for name in _SCRIPTS),
@@ -70,6 +88,8 @@ def page_data(conditions: Mapping[str, Any], outcomes: Sequence[RaceOutcome]) ->
     rows = [_run_row(one, solver_indices[one.task.solver], case_indices[one.task.case], verdicts) for one in outcomes]
     return {
         "limit": conditions["limit"],
+        "wrong_residual": WRONG_RESIDUAL,
+        "wrong_load": WRONG_LOAD_ERROR,
         "facts": " ".join(condition_sentences(conditions, outcomes)),
         "verdicts": [verdict.value for verdict in verdicts],
         "solvers": [{"name": name, "version": conditions["versions"].get(name, "")} for name in solvers],
@@ -81,7 +101,7 @@ def page_data(conditions: Mapping[str, Any], outcomes: Sequence[RaceOutcome]) ->
 def _run_row(outcome: RaceOutcome, solver: int, case: int, verdicts: Sequence[Verdict]) -> list[Any]:
     """Return the numbers of a run, in the order of FIELDS in statistics.js."""
     task, judgement = outcome.task, outcome.judgement
-    flags = [int(task.pyramid), int(task.warm)]
+    flags = [int(task.pyramid), int(task.warm), int(outcome.cold is not None), int(outcome.time_is_reported)]
     numbers = [_rounded(judgement.residual, _RESIDUAL_DIGITS), _rounded(outcome.seconds), outcome.iterations]
     return [solver, task.settings, task.units, *flags, case, verdicts.index(judgement.verdict), *numbers]
 
@@ -97,6 +117,8 @@ def _case_record(name: str, feasible: Mapping[tuple[str, bool], bool]) -> dict[s
         "source": case.source,
         "contacts": len(problem.contacts),
         "objective": problem.objective.type,
+        "load": [_rounded(float(value)) for value in problem.w],
+        "limits": None if problem.actuation is None else _count_limits(problem.actuation),
         "feasible": [feasible.get((name, pyramid), is_feasible) for pyramid in (False, True)],
         "optimum": _rounded(known.objective) if isinstance(known, ExpectedOptimum) else None,
         "tags": list(case_tags(case)),
@@ -106,8 +128,15 @@ def _case_record(name: str, feasible: Mapping[tuple[str, bool], bool]) -> dict[s
     }
 
 
+def _count_limits(actuation: Actuation) -> int:
+    """Return the number of finite torque limits, lower and upper ones."""
+    return int(np.isfinite([actuation.lower, actuation.upper]).sum())
+
+
 def save_history(path: Path, conditions: Mapping[str, Any], outcomes: Sequence[RaceOutcome]) -> list[dict[str, Any]]:
-    """Add the results of a race to a history, save it, and return it. Equal versions replace their earlier results.
+    """Add the results of a race to a history, save it, and return it.
+
+    An entry replaces the earlier one with equal versions, group, number of cases and limit. New entries are the last ones.
 
     Args:
         path: ``history.json``; created if missing.
@@ -120,6 +149,7 @@ def save_history(path: Path, conditions: Mapping[str, Any], outcomes: Sequence[R
     added = []
     for group in group_outcomes(outcomes):
         title = ", ".join(["pyramids" if group.pyramid else "exact cones", group.settings, group.units])
+        reported = {outcome.task.solver for outcome in group.outcomes if outcome.time_is_reported}
         for row in summarize_solvers(group, float(conditions["limit"])):
             added.append(
                 {
@@ -129,15 +159,21 @@ def save_history(path: Path, conditions: Mapping[str, Any], outcomes: Sequence[R
                     "data": data,
                     "group": title,
                     "cases": row.attempted,
+                    "limit": float(conditions["limit"]),
                     "correct": sum(row.counts[verdict] for verdict in CORRECT_VERDICTS),
                     "wrong": row.counts[Verdict.WRONG],
                     "mean": None if math.isnan(row.mean) else _rounded(row.mean),
+                    "reported": row.solver in reported,
                 }
             )
-    keys = ("solver", "version", "graspforce", "data", "group")
-    history = {tuple(entry[key] for key in keys): entry for entry in [*known, *added]}
-    write_text(path, json.dumps(list(history.values()), indent=1) + "\n")
-    return list(history.values())
+    replaced = {_history_key(entry) for entry in added}
+    history = [*(entry for entry in known if _history_key(entry) not in replaced), *added]
+    write_text(path, json.dumps(history, indent=1) + "\n")
+    return history
+
+
+def _history_key(entry: Mapping[str, Any]) -> tuple[Any, ...]:
+    return tuple(entry.get(key) for key in _HISTORY_KEYS)
 
 
 def _rounded(value: float | None, digits: int = _DIGITS) -> float | None:

@@ -179,6 +179,7 @@ def race_tables(outcomes: Sequence[RaceOutcome], limit: float) -> Iterator[Rende
     """
     for group in group_outcomes(outcomes):
         table = sorted(summarize_solvers(group, limit), key=lambda row: row.mean)
+        reported = {outcome.task.solver for outcome in group.outcomes if outcome.time_is_reported}
         right = [sum(row.counts[verdict] for verdict in CORRECT_VERDICTS) for row in table]
         columns = [
             ("solver", [row.solver for row in table]),
@@ -188,7 +189,7 @@ def race_tables(outcomes: Sequence[RaceOutcome], limit: float) -> Iterator[Rende
             ("inexact", [str(row.counts[Verdict.INEXACT]) for row in table]),
             ("wrong", [str(row.counts[Verdict.WRONG]) for row in table]),
             ("timed out", [str(row.counts[Verdict.TIMED_OUT] + row.counts[Verdict.CRASHED]) for row in table]),
-            ("mean", [_time(row.mean) for row in table]),
+            ("mean", [_time(row.mean) + " (reported)" * (row.solver in reported) for row in table]),
         ]
         kind = "pyramids" if group.pyramid else "exact cones"
         yield Text(f"{kind}, {group.settings} settings, {group.units} units", style="bold")

@@ -14,7 +14,7 @@ from support.headless_browser import CHROMIUM, HeadlessBrowser
 from graspforce import problems
 from graspforce.bench.judge import Judgement, Verdict
 from graspforce.bench.outcome import RaceOutcome, RaceTask
-from graspforce.bench.site import write_site
+from graspforce.bench.site import save_history, write_site
 from graspforce.bench.statistics import group_outcomes, performance_profile, summarize_solvers
 
 CONDITIONS = {
@@ -56,6 +56,17 @@ def test_page_is_one_small_file_that_loads_nothing(page: Path) -> None:
     assert len(text) < 100_000
     assert not re.search(r"(src|href)=\"(https?:)?//|import\(|fetch\(|@import|url\(", text)
     assert not re.search(r"\{(css|data|script)\}", text)
+
+
+def test_history_keeps_races_of_other_cases_or_limits_and_the_newest_entries_are_last(tmp_path: Path) -> None:
+    old = {"solver": "alpha", "version": "1.2", "graspforce": "0.3.0", "data": "1.0.1", "group": "exact cones, default, scaled"}
+    (tmp_path / "history.json").write_text(json.dumps([{**old, "cases": 4, "correct": 4, "wrong": 0, "mean": 1e-3}]))
+    alpha = outcomes()[:4]
+    races = ((CONDITIONS, alpha), (CONDITIONS, alpha[:2]), ({**CONDITIONS, "limit": 2.0}, alpha), (CONDITIONS, alpha))
+    for conditions, some in races:
+        history = save_history(tmp_path / "history.json", conditions, some)
+    assert history == json.loads((tmp_path / "history.json").read_text())
+    assert [(one["cases"], one.get("limit")) for one in history] == [(4, None), (2, 0.5), (4, 2.0), (4, 0.5)]
 
 
 def test_history_keeps_earlier_versions_and_replaces_equal_ones(tmp_path: Path) -> None:
@@ -129,9 +140,14 @@ def test_pages_of_cases_and_solvers_say_how_to_reproduce(browser: HeadlessBrowse
     assert browser.evaluate("document.querySelectorAll('main svg circle').length") == 3
     open_view(browser, "solver/beta", "beta")
     assert "Wrong answers: 1" in browser.text()
-    text = browser.evaluate("document.querySelector('main pre').innerText")
+    assert browser.evaluate("document.querySelector('main pre')") is None
+    browser.click("Reproduce")
+    text = browser.evaluate("document.querySelector('main pre.file').innerText")
     assert 'RaceTask("beta", "default", "scaled", False, False, "ring/3-force")' in text
     compile(text, "wrong.py", "exec")
+    assert browser.evaluate("document.querySelector('main button[data-run]').getAttribute('aria-expanded')") == "true"
+    browser.click("Reproduce")
+    assert browser.evaluate("document.querySelector('main pre')") is None
     open_view(browser, "history", "History by version")
     assert "1.0.1" in browser.text()
 
@@ -194,6 +210,57 @@ def press(browser: HeadlessBrowser, key: str, code: int) -> None:
     text = {"text": "\r"} if key == "Enter" else {}
     for kind in ("keyDown", "keyUp"):
         browser.call("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=code, **text)
+
+
+CURVE_CONTRASTS = """
+(() => {
+  const linear = (v) => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
+  const light = (text) => {
+    const [r, g, b] = text.match(/[\\d.]+/g).slice(0, 3).map((v) => linear(v / 255));
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+  };
+  const back = light(getComputedStyle(document.body).backgroundColor);
+  const probe = document.body.appendChild(document.createElement("i"));
+  const ratios = COLOURS.map((colour) => {
+    probe.style.color = colour;
+    const own = light(getComputedStyle(probe).color);
+    return (Math.max(own, back) + 0.05) / (Math.min(own, back) + 0.05);
+  });
+  probe.remove();
+  return Math.min(...ratios);
+})()
+"""
+
+
+OVERLAPS = """
+(() => {
+  const names = [...Array(19).keys()].map((i) => "x".repeat(LENGTH - (i % 4)));
+  const box = document.createElement("div");
+  box.innerHTML = chart("", names.map((name) => [name, "M60 290H540"]), (v) => v, (v) => v, [], [], "", "");
+  main.append(box);
+  const parts = [...box.querySelectorAll("text, path[stroke-width='2.5']")].map((one) => one.getBBox());
+  const [, , width, height] = box.querySelector("svg").getAttribute("viewBox").split(" ").map(Number);
+  box.remove();
+  const crosses = (a, b) => a.x < b.x + b.width && b.x < a.x + a.width && a.y < b.y + b.height && b.y < a.y + a.height;
+  const outside = parts.filter((a) => a.x < 0 || a.x + a.width > width || a.y + a.height > height).length;
+  return outside + parts.filter((a, i) => parts.some((b, j) => j > i && crosses(a, b))).length;
+})()
+"""
+
+
+@pytest.mark.parametrize("length", [5, 14, 25])
+def test_names_in_the_legend_do_not_overlap(browser: HeadlessBrowser, length: int) -> None:
+    assert browser.evaluate(OVERLAPS.replace("LENGTH", str(length))) == 0
+
+
+def test_contrast_of_curves_is_sufficient_in_both_themes(browser: HeadlessBrowser) -> None:
+    """WCAG 2 asks for a ratio of 3 for graphics. All colours of solvers count, not only those in use."""
+    themes = set()
+    for _ in range(2):
+        browser.evaluate("document.getElementById('theme').click()")
+        themes.add(browser.evaluate("document.documentElement.dataset.theme"))
+        assert browser.evaluate(CURVE_CONTRASTS) >= 3.0
+    assert themes == {"light", "dark"}
 
 
 @pytest.mark.parametrize(

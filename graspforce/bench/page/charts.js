@@ -1,5 +1,5 @@
 // Charts as SVG: performance profiles, time against size, and the contacts of a case.
-const COLOURS = ["#2f7fc1", "#d1495b", "#2e933c", "#c98a1b", "#8e63b5", "#14969c", "#a5794a", "#e0705a", "#6b78a8", "#7d9a34"];
+const COLOURS = ["#2f7fc1", "#d1495b", "#2e933c", "#c2850f", "#8e63b5", "#14969c", "#a5794a", "#e0705a", "#6b78a8", "#7d9a34"];
 const DASHES = ["", "7 3", "2 3"];
 const solverStyle = (solver) => {
   const i = data.solvers.findIndex((one) => one.name === solver);
@@ -12,9 +12,17 @@ function logAxis(low, high, pixels, start) {
   return (value) => start + (Math.log10(value / low) / span) * pixels;
 }
 
+function textWidth(text) {
+  const context = document.createElement("canvas").getContext("2d");
+  context.font = "12px system-ui, sans-serif"; // as page.css sets it
+  return context.measureText(text).width;
+}
+
 function chart(title, lines, x, y, xTicks, yTicks, xLabel, yLabel) {
+  const step = Math.max(96, 34 + Math.max(...lines.map(([name]) => textWidth(name)))); // a name with its line
+  const columns = Math.max(1, Math.floor(500 / step));
   const legend = lines.map(([name, d], i) => {
-    const [left, top] = [70 + (i % 5) * 96, 352 + Math.floor(i / 5) * 18];
+    const [left, top] = [60 + (i % columns) * step, 352 + Math.floor(i / columns) * 18];
     return `<path d="${d}" fill="none" stroke-width="2" ${solverStyle(name)}/>` +
       `<path d="M${left} ${top}h22" stroke-width="2.5" ${solverStyle(name)}/><text x="${left + 26}" y="${top + 4}">${escapeText(name)}</text>`;
   });
@@ -22,7 +30,7 @@ function chart(title, lines, x, y, xTicks, yTicks, xLabel, yLabel) {
     ...xTicks.map((t) => `<path class="grid" d="M${x(t[0])} 20V290"/><text x="${x(t[0])}" y="306" text-anchor="middle">${t[1]}</text>`),
     ...yTicks.map((t) => `<path class="grid" d="M60 ${y(t[0])}H540"/><text x="54" y="${y(t[0]) + 4}" text-anchor="end">${t[1]}</text>`),
   ];
-  const height = 350 + 18 * Math.ceil(lines.length / 5);
+  const height = 350 + 18 * Math.ceil(lines.length / columns);
   return `<figure><h3>${escapeText(title)}</h3><svg viewBox="0 0 560 ${height}" role="img" aria-label="${escapeText(title)}">${grid.join("")}` +
     `<text x="300" y="326" text-anchor="middle">${xLabel}</text>` +
     `<text x="60" y="11">${yLabel}</text>${legend.join("")}</svg></figure>`;
@@ -40,7 +48,8 @@ function profileChart(chosen, onlyCommon) {
     });
     return [solver, d ? `${d}H540` : "M60 290H540"];
   });
-  const which = onlyCommon ? `the ${count} feasible cases that all support` : `all ${count} feasible cases; unsupported counts as not solved`;
+  const missing = chosen.some((run) => run.warm) ? "unsupported or no warm start" : "unsupported";
+  const which = onlyCommon ? `the ${count} feasible cases that all support` : `all ${count} feasible cases; ${missing} counts as not solved`;
   const ticks = [1, 10, 100, 1000].map((t) => [t, t]);
   return chart(`Profile, ${which}`, lines, x, y, ticks, [0, 25, 50, 75, 100].map((t) => [t, t]), "time / shortest time on the case", "cases solved, %");
 }

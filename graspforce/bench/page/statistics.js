@@ -1,20 +1,23 @@
 // Decoded runs, filters and statistics. The formulas are those of graspforce.bench.statistics.
 const data = window.pageData; // the loader of the page sets it
-const FIELDS = ["solver", "settings", "units", "pyramid", "warm", "case", "verdict", "residual", "seconds", "iterations"];
-const runs = data.runs[0].map((_, row) => Object.fromEntries(FIELDS.map((name, i) => [name, data.runs[i][row]]))).map((run) => ({
+const FIELDS = ["solver", "settings", "units", "pyramid", "warm", "hasStart", "reported", "case", "verdict", "residual", "seconds", "iterations"];
+const runs = data.runs[0].map((_, row) => Object.fromEntries(FIELDS.map((name, i) => [name, data.runs[i][row]]))).map((run, index) => ({
   ...run,
+  index,
   solver: data.solvers[run.solver].name,
   case: data.cases[run.case],
   verdict: data.verdicts[run.verdict],
 }));
 const SOLVED = new Set(["certified", "correct, without multipliers", "correct, inexact multipliers"]);
 const isCorrect = (run) => SOLVED.has(run.verdict) || run.verdict === "unproven";
+// A warm task without a previous solution, such as the first case of a sequence, starts as a cold one; it counts as neither.
+const startOf = (run) => (!run.warm ? "cold" : run.hasStart ? "warm" : "no previous solution");
 const SIZES = { all: () => true, "up to 5": (n) => n <= 5, "6 to 20": (n) => n > 5 && n <= 20, "above 20": (n) => n > 20 };
 
 function select(filter) {
   return runs.filter((run) =>
     run.settings === filter.settings && run.units === filter.units && (run.pyramid ? "pyramids" : "exact") === filter.cones &&
-    (run.warm ? "warm" : "cold") === filter.start && SIZES[filter.size](run.case.contacts) &&
+    startOf(run) === filter.start && SIZES[filter.size](run.case.contacts) &&
     (filter.collection === "all" || run.case.name.startsWith(filter.collection + "/")));
 }
 
@@ -53,7 +56,7 @@ function summary(chosen) {
     const solved = own.filter((run) => run.case.feasible[+run.pyramid] && run.seconds !== null).map((run) => run.seconds);
     const correct = own.filter(isCorrect).length;
     return {
-      solver, cases: own.length, correct, share: correct / own.length, wrong: count("wrong"), inexact: count("inexact"),
+      solver, reported: own.some((run) => run.reported), cases: own.length, correct, share: correct / own.length, wrong: count("wrong"), inexact: count("inexact"),
       none: count("no answer"), stopped: count("timed out") + count("crashed"), unsupported: count("unsupported"),
       mean: shiftedMean(feasible.map((run) => (run.seconds === null ? data.limit : run.seconds))),
       median: solved.length ? median(solved) : NaN,

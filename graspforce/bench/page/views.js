@@ -1,6 +1,12 @@
 // The views of the page, chosen by the address after #.
 const main = document.getElementById("main");
-const time = (s) => (Number.isFinite(s) && s !== null ? (s >= 1e-3 ? `${(1e3 * s).toPrecision(3)} ms` : `${(1e6 * s).toFixed(0)} µs`) : "–");
+function time(s) {
+  if (s === null || !Number.isFinite(s)) return "–";
+  if (s >= 0.9995) return `${s.toPrecision(3)} s`;
+  return s >= 1e-3 ? `${(1e3 * s).toPrecision(3)} ms` : `${(1e6 * s).toFixed(0)} µs`;
+}
+
+const markedTime = (s, reported) => time(s) + (reported && time(s) !== "–" ? " (reported)" : "");
 const percent = (share) => `${(100 * share).toFixed(1)} %`;
 const link = (kind, name) => `<a href="#/${kind}/${escapeText(name)}">${escapeText(name)}</a>`;
 const unique = (list) => [...new Set(list)];
@@ -23,13 +29,19 @@ function table(id, columns, rows) {
   return `<div class="scroll"><table id="${id}"><thead><tr>${head.join("")}</tr></thead><tbody>${body.join("")}</tbody></table></div>`;
 }
 
+// The options of a filter that some run has, in a fixed order.
+function present(options, key) {
+  const found = new Set(runs.map(key));
+  return options.filter((one) => found.has(one));
+}
+
 function choices() {
   const collections = unique(data.cases.map((one) => one.name.split("/")[0])).sort();
   return {
-    cones: unique(runs.map((run) => (run.pyramid ? "pyramids" : "exact"))),
-    settings: unique(runs.map((run) => run.settings)),
-    units: unique(runs.map((run) => run.units)),
-    start: unique(runs.map((run) => (run.warm ? "warm" : "cold"))),
+    cones: present(["exact", "pyramids"], (run) => (run.pyramid ? "pyramids" : "exact")),
+    settings: present(["default", "high", "low", "float32"], (run) => run.settings),
+    units: present(["scaled", "si"], (run) => run.units),
+    start: present(["cold", "warm"], startOf),
     collection: ["all", ...collections],
     size: Object.keys(SIZES),
   };
@@ -56,10 +68,12 @@ function overview() {
     ["wrong", (row) => row.wrong, (row) => (row.wrong ? `<span class="bad">${row.wrong}</span>` : 0)],
     ["inexact", ...number("inexact")], ["no answer", ...number("none")], ["stopped", ...number("stopped")],
     ["unsupported", ...number("unsupported")],
-    ["mean", (row) => row.mean, (row) => time(row.mean)], ["median", (row) => row.median, (row) => time(row.median)],
+    ["mean", (row) => row.mean, (row) => markedTime(row.mean, row.reported)],
+    ["median", (row) => row.median, (row) => markedTime(row.median, row.reported)],
   ];
+  const reported = "(Reported): time of the solver's author, not measured in this race.";
   const note = "Mean: shifted geometric mean over the feasible cases that all solvers support; a case that is not solved counts as " +
-    `${data.limit} s. Median: over the cases that the solver solved. Stopped: timed out or crashed.`;
+    `${data.limit} s. Median: over the cases that the solver solved. Stopped: timed out or crashed. ${runs.some((run) => run.reported) ? reported : ""}`;
   const body = chosen.length ? table("solvers", columns, summary(chosen)) + `<p class="soft">${note}</p><div class="charts">` +
     profileChart(chosen, false) + profileChart(chosen, true) + sizeChart(chosen) + "</div>" : "<p>No runs with these filters.</p>";
   return `<h2>Results</h2>${filterForm(given)}${body}`;
@@ -81,22 +95,26 @@ function caseList() {
 
 const RUN_COLUMNS = [
   ["accuracy", (run) => run.settings, (run) => run.settings], ["units", (run) => run.units, (run) => run.units],
-  ["cones", (run) => +run.pyramid, (run) => (run.pyramid ? "pyramids" : "exact")], ["start", (run) => +run.warm, (run) => (run.warm ? "warm" : "cold")],
+  ["cones", (run) => +run.pyramid, (run) => (run.pyramid ? "pyramids" : "exact")], ["start", startOf, startOf],
   ["verdict", (run) => run.verdict, (run) => (run.verdict === "wrong" ? '<span class="bad">wrong</span>' : run.verdict)],
   ["residual", (run) => run.residual ?? NaN, (run) => (run.residual === null ? "–" : run.residual.toExponential(1))],
-  ["time", (run) => run.seconds ?? NaN, (run) => time(run.seconds)], ["iterations", (run) => run.iterations, (run) => run.iterations],
+  ["time", (run) => run.seconds ?? NaN, (run) => markedTime(run.seconds, run.reported)], ["iterations", (run) => run.iterations, (run) => run.iterations],
+  ["details", (run) => run.index, (run) => `<button type="button" data-run="${run.index}" aria-expanded="false">Reproduce</button>`],
 ];
 
 function caseView(name) {
   const one = data.cases.find((each) => each.name === name);
   if (!one) return `<h2>No case ${escapeText(name)}</h2>`;
   const own = runs.filter((run) => run.case === one);
-  const solver = own.length ? own[0].solver : "clarabel";
+  const vector = (values) => `(${values.join(", ")})`;
+  const motors = one.limits === null ? "no hand" : `${one.limits} torque limits`;
+  const shown = shellLine("graspforce", "problems", ...folderWords, "show", name);
   const more = one.positions.length < one.contacts ? ` The picture shows ${one.positions.length} of ${one.contacts} contacts.` : "";
   return `<h2>${escapeText(name)}</h2><p>${escapeText(one.source)}</p><p>${one.contacts} contacts, objective ${one.objective}, ` +
-    `${one.feasible[0] ? `optimum ${one.optimum}` : "infeasible"}. Tags: ${one.tags.join(", ")}.${more}</p>${contactPicture(one)}` +
-    `<h3>Reproduce</h3><pre>graspforce problems show ${escapeText(name)} | graspforce solve -\n` +
-    `graspforce bench --case ${escapeText(name)} --solver ${escapeText(solver)}</pre><h3>Runs</h3>` +
+    `${motors}, ${one.feasible[0] ? `optimum ${one.optimum}` : "infeasible"}. Tags: ${one.tags.join(", ")}.${more}</p>` +
+    `<p>Load that the contacts supply: force ${vector(one.load.slice(0, 3))} N, moment ${vector(one.load.slice(3))} N·m about the origin.</p>` +
+    `${contactPicture(one)}<h3>Problem as JSON</h3><pre>${escapeText(shown)}</pre>` +
+    `<h3>Solve</h3><pre>${escapeText(shown)} | graspforce solve -</pre><h3>Runs</h3>` +
     table("runs", [["solver", (run) => run.solver, (run) => link("solver", run.solver)], ...RUN_COLUMNS], own);
 }
 
@@ -106,25 +124,10 @@ function solverView(name) {
   const own = runs.filter((run) => run.solver === name);
   const counts = [...groupBy(own, (run) => run.verdict)].map(([verdict, list]) => `${verdict}: ${list.length}`).join("; ");
   const wrong = own.filter((run) => run.verdict === "wrong");
-  const files = wrong.slice(0, 30).map((run) => {
-    const text = minimalFile(run);
-    return `<h3>${link("case", run.case.name)}</h3><pre>${escapeText(text)}</pre>` +
-      `<a download="wrong.py" href="data:text/x-python;charset=utf-8,${encodeURIComponent(text)}">Download this file</a>`;
-  });
   const columns = [["case", (run) => run.case.name, (run) => link("case", run.case.name)], ...RUN_COLUMNS];
-  const found = wrong.length ? `${table("wrong", columns, wrong)}<p class="soft">A file for each, at most 30:</p>${files.join("")}` : "<p>None.</p>";
+  const found = wrong.length ? table("wrong", columns, wrong) : "<p>None.</p>";
   return `<h2>${escapeText(name)} ${escapeText(one.version)}</h2><p>${own.length} runs. ${escapeText(counts)}.</p>` +
     `<h3>Wrong answers: ${wrong.length}</h3>${found}`;
-}
-
-function minimalFile(run) {
-  const kind = `${run.settings} settings, ${run.units}, ${run.pyramid ? "pyramids" : "exact cones"}`;
-  const words = [run.solver, run.settings, run.units].map((word) => JSON.stringify(word)).join(", ");
-  const flags = [run.pyramid, run.warm].map((flag) => (flag ? "True" : "False")).join(", ");
-  const residual = run.residual === null ? "reported infeasible although feasible" : `residual ${run.residual.toExponential(1)}`;
-  return `"""${run.solver} on ${run.case.name}, ${kind}: ${residual}."""\n\nfrom graspforce.bench.outcome import RaceTask\n` +
-    `from graspforce.bench.worker import Worker\n\nif __name__ == "__main__":\n    with Worker(limit=${data.limit}) as worker:\n` +
-    `        print(worker.run(RaceTask(${words}, ${flags}, ${JSON.stringify(run.case.name)})).judgement)\n`;
 }
 
 function solverList() {
@@ -136,8 +139,9 @@ function solverList() {
 }
 
 function history() {
-  const columns = ["solver", "version", "graspforce", "data", "group", "cases", "correct", "wrong", "mean"];
-  const cell = (name) => (row) => (name === "mean" ? time(row.mean ?? NaN) : escapeText(row[name]));
+  const columns = ["solver", "version", "graspforce", "data", "group", "cases", "limit", "correct", "wrong", "mean"];
+  const text = (row, name) => (name === "limit" && row.limit != null ? `${row.limit} s` : escapeText(row[name] ?? "–"));
+  const cell = (name) => (row) => (name === "mean" ? markedTime(row.mean ?? NaN, row.reported) : text(row, name));
   return "<h2>History by version</h2>" + table("history", columns.map((name) => [name, (row) => row[name] ?? NaN, cell(name)]), data.history);
 }
 
@@ -152,7 +156,18 @@ function setTheme(theme) {
   document.getElementById("theme").textContent = theme === "dark" ? "Light theme" : "Dark theme";
 }
 
+// Show or hide the row with the reproduction of a run.
+function toggleReproduction(button) {
+  const row = button.closest("tr");
+  const isOpen = button.getAttribute("aria-expanded") === "true";
+  button.setAttribute("aria-expanded", String(!isOpen));
+  if (isOpen) return row.nextElementSibling.remove();
+  row.insertAdjacentHTML("afterend", `<tr class="detail"><td colspan="${row.cells.length}">${reproduction(runs[+button.dataset.run])}</td></tr>`);
+}
+
 main.addEventListener("click", (event) => {
+  const opener = event.target.closest("button[data-run]");
+  if (opener) toggleReproduction(opener);
   const button = event.target.closest("button[data-table]");
   if (!button) return;
   const { table: id, column } = button.dataset;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -88,7 +89,8 @@ def bench(
         if before is not None:
             print_report(difference_table(before, outcomes))
     chosen = ["--smoke"] if smoke else [] if case else [f"--max-cases {max_cases}"]
-    named = {"collection": collection, "case": case, "solver": solver, "answers": answers, "settings": settings, "units": units}
+    named: dict[str, Sequence[object] | None] = {"collection": collection, "case": case, "solver": solver, "answers": answers}
+    named |= {"settings": settings, "units": units, "dir": None if folder is None else [folder]}
     command = " ".join(["graspforce bench", *_options(named), *chosen, f"--time-limit {limit:g}"])
     stream = sys.stderr if as_json else sys.stdout
     if report is not None:
@@ -98,12 +100,12 @@ def bench(
     if site is not None:
         from graspforce.bench.site import write_site
 
-        print(f"Page: {write_site(site, facts, outcomes, command)}", file=stream)
+        print(f"Page: {write_site(site, facts, outcomes, command, folder, answers or ())}", file=stream)
 
 
 def _options(named: Mapping[str, Sequence[object] | None]) -> list[str]:
-    """Return the words of repeatable options."""
-    return [f"--{name} {value}" for name, values in named.items() for value in values or ()]
+    """Return the words of repeatable options, quoted for a shell."""
+    return [f"--{name} {shlex.quote(str(value))}" for name, values in named.items() for value in values or ()]
 
 
 def _outcomes(
