@@ -2,6 +2,9 @@
 
 Each part of the result holds consecutive rows of the source and is written whole or not at all. Labelling that was interrupted
 goes on with the missing parts, here or on a Dask cluster. A task that runs twice, because a worker died, writes the same part.
+
+A Parquet file is read by groups of rows. If a group has many more rows than a part, the problems are first copied to a file in
+the folder with one group a part. No process then holds more than a part and the pages that it reads.
 """
 
 from __future__ import annotations
@@ -23,6 +26,8 @@ from graspforce.core.whole_file import replace_file, write_text
 from graspforce.force.problem import ForceProblem
 from graspforce.force.solver import solve
 
+_LARGEST_GROUP = 10  # rows of a group of the source, over those of a part, above which the problems are copied
+_READ_BYTES = 2**20  # of the source that are read at a time for the copy
 INVALID = "invalid"  # status of a row that is not a force problem
 
 
@@ -64,7 +69,7 @@ class _Part:
 
 def solve_many(
     source: str | os.PathLike[str],
-    target: str | os.PathLike[str],
+    target: str | os.PathLike[str] | None = None,
     *,
     cluster: Any = None,
     rows_per_part: int = 1000,
@@ -79,7 +84,8 @@ def solve_many(
 
     Args:
         source: the Parquet file. With a cluster, all workers read it at this path.
-        target: the folder; created if missing. Existing parts are kept.
+        target: the folder; created if missing. Existing parts are kept. Default: beside the source, with ``-labels`` after its
+            name.
         cluster: address of a Dask scheduler, or a cluster of Dask; by default this process solves everything.
         rows_per_part: number of rows of a part.
         with_quality: whether to compute `quality`, which takes longer than the forces.
@@ -92,12 +98,14 @@ def solve_many(
     """
     if rows_per_part < 1:
         raise InvalidInput("rows_per_part", rows_per_part, "at least 1")
-    path, folder = Path(source).resolve(), Path(target).resolve()
+    path = Path(source).resolve()
+    folder = path.with_name(f"{path.stem}-labels") if target is None else Path(target).resolve()
     rows = _row_count(path)
     folder.mkdir(parents=True, exist_ok=True)
     _check_folder(folder, {"source": _fingerprint(path), "rows_per_part": rows_per_part, "with_quality": with_quality})
+    problems = str(_grouped_problems(path, folder, rows_per_part))
     parts = [
-        _Part(str(path), str(folder / f"part-{first:010}.parquet"), first, min(rows_per_part, rows - first), with_quality)
+        _Part(problems, str(folder / f"part-{first:010}.parquet"), first, min(rows_per_part, rows - first), with_quality)
         for first in range(0, rows, rows_per_part)
     ]
     missing = [part for part in parts if not Path(part.target).exists()]
@@ -163,6 +171,26 @@ def _problem_texts(source: str, first: int, count: int) -> Iterator[str | None]:
                 column = file.read_row_group(group, columns=["problem"]).column("problem")
                 yield from column.slice(low - start, high - low).to_pylist()
             start += size
+
+
+def _grouped_problems(path: Path, folder: Path, rows_per_part: int) -> Path:
+    """Return the source, or a copy of its problems with one group of rows a part if its groups are much larger."""
+    import pyarrow.parquet
+
+    with pyarrow.parquet.ParquetFile(path) as file:
+        largest = max((file.metadata.row_group(k).num_rows for k in range(file.num_row_groups)), default=0)
+    if largest <= _LARGEST_GROUP * rows_per_part:
+        return path
+    copy = folder / "problems.parquet"
+    if not copy.exists():
+        with (
+            replace_file(copy) as temporary,
+            pyarrow.parquet.ParquetFile(path, memory_map=True, buffer_size=_READ_BYTES, pre_buffer=False) as file,
+            pyarrow.parquet.ParquetWriter(temporary, pyarrow.schema([file.schema_arrow.field("problem")])) as writer,
+        ):
+            for batch in file.iter_batches(rows_per_part, columns=["problem"]):
+                writer.write_batch(batch)
+    return copy
 
 
 def _row_count(path: Path) -> int:

@@ -78,6 +78,20 @@ def test_interrupted_labelling_goes_on_with_the_missing_parts(tmp_path: Path, mo
         gf.solve_many(source, out, rows_per_part=3)
 
 
+def test_large_groups_of_rows_are_read_in_parts(tmp_path: Path) -> None:
+    """A source with one group of rows gets the labels of one with small groups; no group read later exceeds a part."""
+    whole = write_source(tmp_path / "whole.parquet", 60, group=60)
+    small = write_source(tmp_path / "small.parquet", 60, group=4)
+    for source in (whole, small):
+        done = gf.solve_many(source, rows_per_part=4)
+        assert done.folder == source.with_name(f"{source.stem}-labels")
+    copy = parquet.ParquetFile(tmp_path / "whole-labels" / "problems.parquet")
+    assert max(copy.metadata.row_group(k).num_rows for k in range(copy.num_row_groups)) <= 4
+    assert copy.metadata.num_rows == 60
+    assert not (tmp_path / "small-labels" / "problems.parquet").exists()
+    assert labels(tmp_path / "whole-labels") == labels(tmp_path / "small-labels")
+
+
 def test_other_sources_are_rejected(tmp_path: Path) -> None:
     (tmp_path / "text.parquet").write_text("no table")
     parquet.write_table(pyarrow.table({"grasp": ["a"]}), tmp_path / "other.parquet")

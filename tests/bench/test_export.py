@@ -211,6 +211,7 @@ def test_manifest_states_version_licence_and_hashes(package: Path, reader: Modul
         text = (package / name).read_text()
         assert problems.DATA_VERSION in text
         assert "{version}" not in text
+    assert 'license-files = ["LICENSE", "CITATION.cff"]' in (package / "pyproject.toml").read_text()  # both are in the wheel
     data = package / "graspforce_problems" / "data"
     with tarfile.open(data / "cbf.tar.xz") as archive:
         assert archive.getnames() == [f"{name}.cbf" for name in CASES]
