@@ -15,7 +15,8 @@ PACKAGE = "osqp"
 EXACT_CONES = False
 WARM_START = True
 
-_STATUS = {"solved": SolverStatus.SOLVED, "primal infeasible": SolverStatus.INFEASIBLE}
+_STATUS = {"solved": SolverStatus.SOLVED, "solved inaccurate": SolverStatus.SOLVED}
+_STATUS |= dict.fromkeys(("primal infeasible", "primal infeasible inaccurate"), SolverStatus.INFEASIBLE)
 _MAX_ITERATIONS = 1_000_000  # high enough that the tolerance or the time limit ends the run
 
 

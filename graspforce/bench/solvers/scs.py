@@ -15,7 +15,7 @@ PACKAGE = "scs"
 EXACT_CONES = True
 WARM_START = True
 
-_STATUS = {"solved": SolverStatus.SOLVED, "infeasible": SolverStatus.INFEASIBLE}
+_STATUS = {"solved": SolverStatus.SOLVED, "infeasible": SolverStatus.INFEASIBLE}  # first word; "(inaccurate …)" may follow
 _MAX_ITERATIONS = 1_000_000  # high enough that the tolerance or the time limit ends the run
 
 
@@ -44,7 +44,7 @@ def bind(program: ConicProgram, settings: str) -> BoundSolver:
         return solver.solve(warm_start=True, x=start["x"], y=start["y"], s=start["s"])
 
     def read(output: Any) -> SolverResult:
-        status = _STATUS.get(output["info"]["status"], SolverStatus.NO_ANSWER)
+        status = _STATUS.get(output["info"]["status"].split()[0], SolverStatus.NO_ANSWER)
         return make_result(program, status, output["x"], -output["y"][:e], output["y"][e : e + i], output["info"]["iter"])
 
     return BoundSolver(run, read)
