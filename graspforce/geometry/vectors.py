@@ -70,3 +70,15 @@ def tangent_bases(n: Array) -> Array:
     axis = np.eye(3)[np.abs(n).argmin(axis=1)]
     t = unit_vectors(np.cross(n, axis))
     return np.stack([t, np.cross(n, t)], axis=-1)
+
+
+def table_axes(down: Array) -> Array:
+    """Return two orthonormal directions along a table, whose normal is vertical, as rows.
+
+    Args:
+        down: (3,) unit vector along gravity.
+
+    Returns:
+        (2, 3).
+    """
+    return np.asarray(np.linalg.svd(down[None])[2][1:])

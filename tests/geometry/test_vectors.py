@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from support.contact_strategies import seeds
 
-from graspforce.geometry.vectors import cross, row_norms, skew, tangent_bases, unit_vectors
+from graspforce.geometry.vectors import cross, row_norms, skew, table_axes, tangent_bases, unit_vectors
 
 
 @given(seeds)
@@ -40,3 +40,10 @@ def test_tangent_bases_complete_a_right_handed_frame(seed):
     frames = np.concatenate([T, n[:, :, None]], axis=2)
     np.testing.assert_allclose(frames.transpose(0, 2, 1) @ frames, np.tile(np.eye(3), (4, 1, 1)), atol=1e-15)
     np.testing.assert_allclose(np.linalg.det(frames), 1.0, atol=1e-14)
+
+
+@given(seeds)
+def test_axes_of_a_table_are_orthonormal_and_horizontal(seed):
+    down = unit_vectors(np.random.default_rng(seed).normal(size=(1, 3)))[0]
+    rows = np.vstack([table_axes(down), down])
+    np.testing.assert_allclose(rows @ rows.T, np.eye(3), atol=1e-14)

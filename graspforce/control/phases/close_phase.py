@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from graspforce.control.joints.joint_command import JointMotion
-from graspforce.control.phases.contact_detector import ContactDetector, DetectorMemory
+from graspforce.control.phases.contact_detector import ClosingTargets, ContactDetector, DetectorMemory
 from graspforce.control.phases.cycle_plan import BaseMotion, CyclePlan
 from graspforce.control.phases.finger_servo import FingerServo, ForceBounds, ServoMemory, ServoStep
 from graspforce.control.phases.phase_rules import NO_CONTACT
@@ -24,6 +24,7 @@ _PRESS_DISTANCE = 0.01  # m: a waiting finger's target is this far inside, so th
 _LEAST_FREE_TRAVEL = 0.003  # m: the fingers overcome their static friction in it
 _FRICTION_SHARE = 0.3  # of the observed joint friction at the tip, by which the bound grows: friction is not constant
 _ACROSS_SHARE = 1.5  # the same across the normals: static friction exceeds the observed one, and such a force hardly pushes
+_FOLLOWS, _RESTS = 0.9, 0.1  # of the commanded speed: target that follows its normal, and target that rests
 _RISE_TIME = 0.1  # s, of the closing speed
 _MOST_RETRIES, _RETRY_EFFORT = 2, 2.0  # of fingers that stopped off the object, and factor of their bound each time
 
@@ -47,7 +48,6 @@ class ClosePhase:
 
     Attributes:
         signs: what showed the contact of each finger; empty for fingers without contact.
-        p_touch: (N, 3) positions of the fingertips when they touched, in H, m; NaN for fingers without contact.
         q_wait: (n,) target posture of the waiting fingers, rad.
     """
 
@@ -69,7 +69,6 @@ class ClosePhase:
         self._effort = np.ones(count)  # factor of the bound's share of the friction
         self._memory: DetectorMemory | None = None
         self.signs: tuple[str, ...] = ("",) * count
-        self.p_touch = np.full((count, 3), np.nan)
         self.q_wait = plan.q_pregrasp
 
     def step(self, t: float, measurement: Measurement, memory: ServoMemory) -> PhaseTorques:
@@ -87,12 +86,14 @@ class ClosePhase:
         is_moving = np.array([not sign for sign in self.signs]) & (may_touch | (self._lag < _LARGEST_LAG))
         farthest = self._standoff + settings.largest_travel  # m
         self._q, rates = self._motion.advance(self._q, (speed * is_moving)[:, None] * self._normals, dt)
-        self._travel += speed * dt * is_moving
+        speeds = self._target_speeds(np.asarray(speed * is_moving), rates)
+        self._travel += dt * np.where(speeds > 0.0, speeds, speed * is_moving)
         force = np.where(may_touch, self._bound(memory, _FRICTION_SHARE), _FREE_FORCE)
         across = np.where(may_touch, self._bound(memory, _ACROSS_SHARE), _FREE_FORCE)
         bounds = force if is_free else ForceBounds(self._normals, force, across)
         servo = self._servo.step(memory, measurement, JointMotion(self._q, rates), bounds, is_free=is_free)
-        self._detect(measurement, servo[0], force, may_touch)
+        self._lag = self._along(self._motion.positions(self._q) - servo[0].p_tip)  # m
+        self._detect(measurement, servo[0], ClosingTargets(speeds, self._lag, force), may_touch)
         missed = bool(((self._travel > farthest) & is_moving).any())
         is_over = all(self.signs) and not self._retry(servo[0])
         return PhaseTorques(servo[0].tau, servo, self._base, is_over, NO_CONTACT if missed and not is_over else "")
@@ -101,6 +102,20 @@ class ClosePhase:
         """Return the largest feedback force (N,) of each finger, N: the touch force and a share of its joints' friction."""
         friction = self._motion.tip_forces(self._q, memory.friction)  # N
         return np.asarray(self._settings.touch_force + share * self._effort * friction)
+
+    def _target_speeds(self, commanded: Array, rates: Array) -> Array:
+        """Return the speeds (N,) of the targets along the inward normals, m/s; zero for targets that rest.
+
+        A target that follows its normal up to the damping of the joint motion has the commanded speed. A finger of one joint
+        whose tip moves obliquely to the normal is slower.
+
+        Args:
+            commanded: (N,) commanded speeds, m/s.
+            rates: (n,) rates of the joints of the targets, rad/s.
+        """
+        along = self._along(self._motion.velocities(self._q, rates))
+        share = np.divide(along, commanded, out=np.zeros_like(along), where=commanded > 0.0)
+        return np.where(share > _RESTS, np.minimum(1.0, share / _FOLLOWS) * commanded, 0.0)
 
     def _retry(self, servo: ServoStep) -> bool:
         """Let the fingers go on that have stopped off the object, and return whether any does."""
@@ -129,14 +144,15 @@ class ClosePhase:
         """Return the components (N,) of vectors (N, 3) along the inward normals."""
         return np.asarray(np.einsum("ij,ij->i", vectors, self._normals))
 
-    def _detect(self, measurement: Measurement, servo: ServoStep, force: Array, may_touch: npt.NDArray[np.bool_]) -> None:
+    def _detect(
+        self, measurement: Measurement, servo: ServoStep, targets: ClosingTargets, may_touch: npt.NDArray[np.bool_]
+    ) -> None:
         """Stop the fingers that touch now, and set their targets inside the object."""
         p_tip = servo.p_tip
         if self._memory is None:
             self._memory = self._detector.initial_memory(p_tip)
-        self._lag = self._along(self._motion.positions(self._q) - p_tip)  # m
         is_free = not may_touch.any()
-        signs, memory = self._detector.step(self._memory, measurement, servo, self._normals, self._lag, force, is_free)
+        signs, memory = self._detector.step(self._memory, measurement, servo, self._normals, targets, is_free)
         self._tip_travel = np.maximum(self._tip_travel, self._along(p_tip - self._p_start))
         arrives = ~may_touch & (self._tip_travel >= self._free_travel) & (self._lag > _LAG_AT_TOUCH)
         self._memory = self._restart(arrives, p_tip, memory) if arrives.any() else memory
@@ -146,8 +162,6 @@ class ClosePhase:
         self.signs = tuple(signs[i] if i in found else sign for i, sign in enumerate(self.signs))
         pressed = np.zeros((len(self.signs), 3))
         for i in found:
-            self.p_touch[i] = p_tip[i]
-            inside = p_tip[i] + _PRESS_DISTANCE * self._normals[i] - self._motion.positions(self._q)[i]
-            pressed[i] = inside
+            pressed[i] = p_tip[i] + _PRESS_DISTANCE * self._normals[i] - self._motion.positions(self._q)[i]
         self._q, _ = self._motion.advance(self._q, pressed, 1.0)
         self.q_wait = freeze(self._q)

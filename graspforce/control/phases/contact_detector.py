@@ -2,18 +2,18 @@
 
 - ``tip force``: the measured force on the fingertip, low-passed, along the inward normal.
 - ``joint torque``: the force at the tip that explains the disturbance of the joints beyond that of the free motion, while the
-  tip is slower than commanded.
-- ``stall``: the tip has stopped although it is commanded to move, or its target is further ahead than in free motion.
+  tip is slower than its target.
+- ``stall``: the tip has stopped although its target moves, or its target is further ahead than in free motion.
 
-With fingertip sensors only the first applies. Otherwise the second and the third apply together, the second only if joint
-torques are measured or the drives take torques or currents.
+With fingertip sensors whose noise stays below the touch force, only the first applies. Otherwise the second and the third apply
+together, the second only if the drives take torques or currents.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -32,9 +32,23 @@ _FORCE_TIME = 0.005  # s: low-pass of measured forces
 _RESIDUAL_TIME = 0.02  # s: low-pass of the forces from the joints' disturbances
 _SPEED_TIME = 0.03  # s: low-pass of the tips' speeds
 _DEVIATIONS = 5.0  # standard deviations of a filtered force that count as contact
-_FORCE_SHARE, _SLOW, _STALLED = 0.6, 0.6, 0.3  # of the bound of the feedback, and of the commanded speed
+_FORCE_SHARE, _SLOW, _STALLED = 0.6, 0.6, 0.3  # of the bound of the feedback, and of the target's speed
 _STALL_TIME = 0.06  # s
 _STALL_LAG = 0.004  # m, from a tip to its target: noise of the encoders, which hides a low speed, does not hide it
+
+
+class ClosingTargets(NamedTuple):
+    """Targets of N closing fingertips in a step.
+
+    Attributes:
+        speed: (N,) speeds of the targets along the inward normals, m/s; zero for targets that rest.
+        lag: (N,) distance of each tip from its target along the normal, m.
+        bound: (N,) bound of the feedback of each finger at its tip, N.
+    """
+
+    speed: Array
+    lag: Array
+    bound: Array
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -70,14 +84,14 @@ class ContactDetector:
 
     def __init__(self, hand: Hand, sensors: SensorModel, settings: PhaseSettings, period: float) -> None:
         self._commanded_speed, touch_force = settings.close_speed, settings.touch_force
-        self._period, self._has_tips = period, sensors.tip_force_noise is not None
-        servo = bool(hand.drives.has_mode(*POSITION_MODES).any())
-        self._has_torques = sensors.torque_noise is not None or not servo
+        self._period = period
+        self._has_torques = not hand.drives.has_mode(*POSITION_MODES).any()
         self._force, self._residual, self._speed = (
             1.0 - math.exp(-period / time) for time in (_FORCE_TIME, _RESIDUAL_TIME, _SPEED_TIME)
         )
         noise = (sensors.tip_force_noise or 0.0) * math.sqrt(self._force / (2.0 - self._force))  # N, after the low-pass
         self.force_threshold = max(0.5 * touch_force, _DEVIATIONS * noise)  # N
+        self._has_tips = sensors.tip_force_noise is not None and self.force_threshold < touch_force
 
     def initial_memory(self, p_tip: Array) -> DetectorMemory:
         """Return the memory at the start of the close.
@@ -106,8 +120,7 @@ class ContactDetector:
         measurement: Measurement,
         servo: ServoStep,
         normals: Array,
-        lag: Array,
-        bound: Array,
+        targets: ClosingTargets,
         is_free: bool,
     ) -> tuple[tuple[ContactSign, ...], DetectorMemory]:
         """Return what shows a contact of each finger, and the memory for the next step.
@@ -117,11 +130,10 @@ class ContactDetector:
             measurement: the newest measurement.
             servo: result of the servo in this step.
             normals: (N, 3) inward normals in H.
-            lag: (N,) distance of each tip from its target along the normal, m.
-            bound: (N,) bound of the feedback of each finger at its tip, N.
+            targets: targets of the tips in this step.
             is_free: whether no fingertip can touch yet; the baseline is learned then.
         """
-        force, speed = memory.force, self._commanded_speed
+        force, speed = memory.force, targets.speed
         if measurement.tip_wrench is not None:
             measured = np.einsum("ij,ij->i", measurement.tip_wrench[:, :3], normals)
             force = force + self._force * (measured - force)
@@ -129,7 +141,7 @@ class ContactDetector:
         baseline = residual if is_free else memory.baseline
         tip_speed = np.einsum("ij,ij->i", servo.p_tip - memory.p_tip, normals) / self._period
         filtered = memory.speed + self._speed * (tip_speed - memory.speed)
-        stalled = np.where(filtered < _STALLED * speed, memory.stalled + self._period, 0.0)
+        stalled = np.where((filtered < _STALLED * speed) & (speed > 0.0), memory.stalled + self._period, 0.0)
         if is_free:
             stalled = np.zeros(len(stalled))
         pressing = -np.einsum("ij,ij->i", residual - baseline, normals)  # N: the object pushes back
@@ -140,9 +152,9 @@ class ContactDetector:
                 pass
             elif self._has_tips and measurement.tip_wrench is not None:
                 sign = "tip force" if force[i] > self.force_threshold else ""
-            elif self._has_torques and pressing[i] > _FORCE_SHARE * bound[i] and filtered[i] < _SLOW * speed:
+            elif self._has_torques and pressing[i] > _FORCE_SHARE * targets.bound[i] and filtered[i] < _SLOW * speed[i]:
                 sign = "joint torque"
-            elif stalled[i] > _STALL_TIME or lag[i] > _STALL_LAG:
+            elif stalled[i] > _STALL_TIME or targets.lag[i] > _STALL_LAG:
                 sign = "stall"
             signs.append(sign)
         after = DetectorMemory(

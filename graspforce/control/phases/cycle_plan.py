@@ -23,6 +23,9 @@ _MOVE_SPEED = 0.1  # m/s: mean speed of the base
 _LEAST_MOVE_TIME = 0.3  # s
 _SLOW_DISTANCE, _TOUCHDOWN_SPEED = 0.01, 0.03  # m, end of the way to the table, and largest speed in it, m/s
 _VECTORS = {"gravity": "gravity_H", "pregrasp": "q_pregrasp", "standoff": "standoff", "lift": "lift", "move": "move"}
+_ABOVE = {"standoff": 0.0}  # m: numbers that vectors must exceed
+_SHAPE = "given: the touch shows where the object's surface is"
+STOP_DECELERATION = 1.0  # m/s², of the base in a safe stop
 _REQUIRED = ("hold", "gravity", "pregrasp", "standoff", "approach")  # fields of the record
 
 
@@ -66,7 +69,8 @@ class CyclePlan:
             10 mm to the table with 30 mm/s at most, because the object may hang lower than the hand knows.
 
     Raises:
-        InvalidInput: a value is not finite or of the wrong shape, or gravity is zero.
+        InvalidInput: a value is not finite or of the wrong shape, gravity is zero, a stand-off distance is not positive, or the
+            object has no shape.
     """
 
     grasp: Grasp
@@ -94,10 +98,12 @@ class CyclePlan:
 
     def __post_init__(self) -> None:
         check_fingertips(self.grasp.hand, self.grasp.fingers, "cycles")
+        if self.grasp.body.shape is None:
+            raise InvalidInput("grasp.body.shape", None, _SHAPE)
         n, count = self.grasp.hand.n, len(self.grasp.fingers)
         shapes = {"gravity_H": (3,), "q_pregrasp": (n,), "standoff": (count,), "lift": (3,), "move": (3,)}
         for name, shape in shapes.items():
-            set_fields(self, **{name: arrays.check_array(getattr(self, name), name, shape)})
+            set_fields(self, **{name: arrays.check_array(getattr(self, name), name, shape, above=_ABOVE.get(name))})
         if not self.gravity_H.any():
             raise InvalidInput("gravity_H", self.gravity_H, "not zero: the table is below the object")
         if self.approach.q.shape[1] != n:
@@ -145,9 +151,11 @@ class CyclePlan:
         """
         values = fields.check_record(record, field, required=_REQUIRED, optional=("lift", "move", "profiles"))
         grasp = Grasp.from_dict(values["hold"], hand, f"{field}.hold")
+        if grasp.body.shape is None:
+            raise InvalidInput(f"{field}.hold.body.shape", None, _SHAPE)
         sizes = {"gravity": 3, "pregrasp": hand.n, "standoff": len(grasp.fingers), "lift": 3, "move": 3}
         vectors = {
-            attribute: arrays.check_array(values[name], f"{field}.{name}", (sizes[name],))
+            attribute: arrays.check_array(values[name], f"{field}.{name}", (sizes[name],), above=_ABOVE.get(name))
             for name, attribute in _VECTORS.items()
             if name in values
         }

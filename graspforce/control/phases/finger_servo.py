@@ -7,9 +7,11 @@ a_d, the feedback is
 
 The factor s ≤ 1 of each finger bounds its feedback as a force F at the tip, ‖F‖ ≤ F_max, where F is the force that accelerates
 the tip as the feedback does, F = (J M⁻¹ Jᵀ)⁻¹ J a_f (Khatib 1987). The rest of the feedback moves the joints and not the tip.
-So a finger that meets the object pushes with F_max at most, however far its desired position is inside. The friction levels
-are those of `FrictionObserver`, which learns them while the fingers move without contact. Free fingers that rest away from the
-goal get the friction of a motion towards it, too.
+So a finger that meets the object pushes with F_max at most, however far its desired position is inside. Fingers that share
+joints, such as those of a wrist, have the same factor, the least one: other factors would change the directions of their tips.
+
+The friction levels are those of `FrictionObserver`, which learns them while the fingers move without contact. Free fingers that
+rest away from the goal get the friction of a motion towards it, too.
 
 `ForceBounds` bounds the parts of F along a direction and across it on their own. A joint that sticks by static friction leads
 the tip away from its line; the force across the line that moves this joint then does not depend on the bound along it.
@@ -99,7 +101,8 @@ class FingerServo:
         sensors: noise, rate and latency of the encoders.
         gravity_H: (3,) acceleration of gravity in H, m/s².
         largest_rate: largest rate of the double pole, rad/s.
-        rest_band: error that static friction may leave in a free finger at rest, rad.
+        rest_band: error that static friction may leave in a free finger at rest, rad, or m for prismatic joints; one for each
+            joint, or one for all.
 
     Raises:
         InvalidInput: no gains are stable with these sensors.
@@ -107,13 +110,20 @@ class FingerServo:
     """
 
     def __init__(
-        self, hand: Hand, fingers: Sequence[str], sensors: SensorModel, gravity_H: Array, largest_rate: float, rest_band: float
+        self,
+        hand: Hand,
+        fingers: Sequence[str],
+        sensors: SensorModel,
+        gravity_H: Array,
+        largest_rate: float,
+        rest_band: float | Array,
     ) -> None:
         sensors = replace(sensors, latency=sensors.latency + hand.drives.delay)
         self.hand, self.period = hand, 1.0 / sensors.rate
         self._rest_band = rest_band
         self._gravity, self._tips = gravity_H, [hand.frame_id(name) for name in fingers]
         self._joints = [list(hand.finger(name).joints) for name in fingers]
+        self._groups = _coupled_fingers(hand, fingers)
         gains, self.margins = fastest_loop(sensors, self.period, LoopTargets(largest_rate=largest_rate))
         self._kp, self._kd = gains.kp, gains.kd
         self._filter = JointFilter(hand.n, sensors, EstimatorSettings(), self.period)
@@ -211,11 +221,13 @@ class FingerServo:
             along = np.asarray(np.einsum("ij,ij->i", force, largest.normals)[:, None] * largest.normals)
             kept = _shortened(along, largest.along) + _shortened(np.asarray(force - along), largest.across)
             return u + rows.T @ (kept - force).ravel(), kept
-        kept, share = _shortened(force, largest), np.ones(len(u))
-        for own, full, shorter in zip(self._joints, force, kept, strict=True):
-            norm = float(np.linalg.norm(full))
-            share[own] = np.minimum(share[own], float(np.linalg.norm(shorter)) / norm if norm > 0.0 else 1.0)
-        return share * u, kept
+        sizes, share = np.linalg.norm(force, axis=1), np.ones(len(u))
+        for fingers, joints in self._groups:
+            excess = float((sizes[fingers] / largest[fingers]).max())
+            if excess > 1.0:
+                share[joints] = 1.0 / excess
+                force[fingers] /= excess
+        return M @ (share * a_f), force
 
     def _pull(self, error: Array) -> Array:
         """Return the rates towards the desired positions of joints that are outside the band of rest, rad/s.
@@ -227,6 +239,23 @@ class FingerServo:
             error: (n,) desired less present positions, rad.
         """
         return _PULL_RATE * np.sign(error) * np.maximum(np.abs(error) - self._rest_band, 0.0)
+
+
+def _coupled_fingers(hand: Hand, fingers: Sequence[str]) -> list[tuple[list[int], list[int]]]:
+    """Return the groups of fingers that share joints, directly or through other fingers: indices of fingers, and their joints.
+
+    Args:
+        hand: the hand.
+        fingers: the fingers to group; other fingers of the hand connect them, too.
+    """
+    connected: list[set[int]] = []  # joints
+    for finger in hand.fingers:
+        joints = set(finger.joints)
+        apart = [each for each in connected if not each & joints]
+        connected = [*apart, joints.union(*(each for each in connected if each & joints))]
+    own = [set(hand.finger(name).joints) for name in fingers]
+    groups = [[i for i, joints in enumerate(own) if joints & each] for each in connected]
+    return [(group, sorted(set.union(*(own[i] for i in group)))) for group in groups if group]
 
 
 def _shortened(forces: Array, largest: Array) -> Array:

@@ -6,14 +6,16 @@ import numpy as np
 
 from graspforce.control.joints.joint_command import JointMotion
 from graspforce.control.joints.joint_trajectory import JointTrajectory
-from graspforce.control.phases.cycle_plan import BaseMotion, base_motion, move_time
+from graspforce.control.phases.cycle_plan import STOP_DECELERATION, BaseMotion, base_motion, braked_motion, move_time
 from graspforce.control.phases.finger_servo import FingerServo, ServoMemory
+from graspforce.control.phases.load_transfer import accelerated_torque
 from graspforce.control.phases.motion_profile import MotionProfile
 from graspforce.control.phases.phase_rules import NOT_REACHED
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.phases.phase_step import PhaseTorques
 from graspforce.core.arrays import Array
 from graspforce.estimation.measurement import Measurement
+from graspforce.hand.hand import Hand
 
 _PATIENCE = 2.0  # s after the end of the motion in which the joints may still arrive
 
@@ -41,6 +43,7 @@ class JointPhase:
     ) -> None:
         self._servo, self._motion, self._settings = servo, motion, settings
         self._base, self._force, self._learns = base, largest_force, learns
+        self._tolerances = settings.posture_tolerances(servo.hand)  # rad or m
         self._settled = 0.0  # s
 
     def step(self, t: float, measurement: Measurement, memory: ServoMemory) -> PhaseTorques:
@@ -53,8 +56,7 @@ class JointPhase:
         """
         desired, end = self._motion(t), self._motion.duration
         servo = self._servo.step(memory, measurement, desired, self._force, is_free=True, learns=self._learns)
-        error = float(np.abs(desired.q - servo[0].q).max())
-        is_near = t >= end and error <= self._settings.posture_tolerance
+        is_near = t >= end and bool((np.abs(desired.q - servo[0].q) <= self._tolerances).all())
         self._settled = self._settled + self._servo.period if is_near else 0.0
         is_over = self._settled >= self._settings.settling_time
         late = t > end + _PATIENCE and not is_near
@@ -65,12 +67,13 @@ class ReopenPhase:
     """The fingers open, then the hand's base moves over the object.
 
     Args:
+        hand: the hand.
         opening: the phase in which the fingers open.
         displacement: (3,) of the base, m.
     """
 
-    def __init__(self, opening: JointPhase, displacement: Array) -> None:
-        self._opening, self._displacement = opening, displacement
+    def __init__(self, hand: Hand, opening: JointPhase, displacement: Array) -> None:
+        self._hand, self._opening, self._displacement = hand, opening, displacement
         self._profile = MotionProfile.least_jerk(move_time(displacement))
         self._opened: float | None = None  # s
 
@@ -87,16 +90,17 @@ class ReopenPhase:
             self._opened = t if result.is_over else None
             return result._replace(is_over=False)
         base = base_motion(result.base.p, self._displacement, self._profile, t - self._opened)
-        return result._replace(base=base, is_over=t - self._opened >= self._profile.duration)
+        tau = accelerated_torque(self._hand, result.tau, result.servo[0].q, base)
+        return result._replace(tau=tau, base=base, is_over=t - self._opened >= self._profile.duration)
 
 
 class HoldJoints:
-    """The joints keep a posture with bounded tip forces: a safe stop.
+    """The joints keep a posture with bounded tip forces, and the base brakes: a safe stop.
 
     Args:
         servo: the servo.
         q: (n,) the posture, rad.
-        base: where the hand's base stays.
+        base: motion of the base when the stop begins.
         largest_force: (N,) bound of the feedback of each finger at its tip, N.
     """
 
@@ -111,5 +115,6 @@ class HoldJoints:
             measurement: the newest measurement.
             memory: memory of the servo.
         """
+        base = braked_motion(self._base, t, STOP_DECELERATION)
         servo = self._servo.step(memory, measurement, self._desired, self._force)
-        return PhaseTorques(servo[0].tau, servo, self._base)
+        return PhaseTorques(accelerated_torque(self._servo.hand, servo[0].tau, servo[0].q, base), servo, base)

@@ -10,9 +10,9 @@ import numpy as np
 
 from graspforce.contact.motion import BodyMotion
 from graspforce.control.joints.joint_command import JointMotion
-from graspforce.control.phases.cycle_plan import BaseMotion, base_motion, braked_motion
+from graspforce.control.phases.cycle_plan import STOP_DECELERATION, BaseMotion, base_motion, braked_motion
 from graspforce.control.phases.finger_servo import FingerServo, ServoMemory, ServoStep
-from graspforce.control.phases.load_transfer import inertial_wrench, table_wrench
+from graspforce.control.phases.load_transfer import accelerated_torque, inertial_wrench, table_wrench
 from graspforce.control.phases.motion_profile import MotionProfile
 from graspforce.control.phases.phase_rules import LOST_CONTACT, MOVED, NO_FORCES
 from graspforce.control.phases.phase_settings import PhaseSettings
@@ -23,7 +23,6 @@ from graspforce.geometry.minimum_jerk import minimum_jerk
 from graspforce.geometry.rotations import rotation_exp, rotation_log
 from graspforce.grasp.grasp import Grasp
 
-_DECELERATION = 1.0  # m/s², of the base in a safe stop
 _FASTEST_TIP = 0.03  # m/s: speed along its inward normal of a fingertip that does not touch
 _RETREAT_RATE = 10.0  # times as fast as they rise, the forces go back while a fingertip runs
 _RISE_AT_TOUCH = 5e-4  # m: rise of the object in the hand that shows the table; estimates scatter less
@@ -78,16 +77,14 @@ class HeldObject(NamedTuple):
         return self.controller.step(measurement, target, external if external.any() else None)
 
     def torque(self, command: ObjectCommand, q: Array, base: BaseMotion) -> Array:
-        """Return the torques of a command, (n,) N·m, with those that accelerate the links with the base.
+        """Return the torques of a command, (n,) N·m, with those that accelerate the links with the base, within the limits.
 
         Args:
             command: the command of the object controller, which knows gravity only.
             q: (n,) joint positions, rad.
             base: motion of the base.
         """
-        if not base.a.any():
-            return np.asarray(command.tau)
-        return freeze(command.tau + self.grasp.hand.gravity_torque(q, -base.a))
+        return accelerated_torque(self.grasp.hand, np.asarray(command.tau), q, base)
 
 
 class YieldingTarget:
@@ -294,7 +291,7 @@ class HoldObject:
             measurement: the newest measurement.
             memory: memory of the servo.
         """
-        base = braked_motion(self._base, t, _DECELERATION)
+        base = braked_motion(self._base, t, STOP_DECELERATION)
         servo = self._held.servo.observe(memory, measurement)
         command = self._held.step(measurement, 0.0, base, self._desired)
         tau = self._held.torque(command, servo[0].q, base)

@@ -19,10 +19,12 @@ from graspforce.control.phases.object_phases import CarryPhase, HeldObject, Hold
 from graspforce.control.phases.phase_rules import PAUSED, PHASE_ORDER, PHASE_RULES, RETRIED, TIME_LIMIT, WRONG_OBJECT, PhaseName
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.phases.phase_step import FeedbackController, PhaseCommand, PhaseRecord, PhaseTorques
+from graspforce.control.phases.phase_times import check_times, opening_time
 from graspforce.control.phases.release_phase import ReleasePhase
 from graspforce.control.phases.touched_grasp import pose_from_touch, touch_gaps, touched_grasp
 from graspforce.control.settings import ControlSettings
 from graspforce.core.arrays import Array, freeze
+from graspforce.core.errors import InvalidInput
 from graspforce.estimation.measurement import Measurement
 from graspforce.estimation.sensor_model import SensorModel
 from graspforce.grasp.grasp import Grasp
@@ -32,9 +34,8 @@ _Phase = JointPhase | ClosePhase | SqueezePhase | CarryPhase | ReleasePhase | Re
 
 _APPROACH_FORCE = 20.0  # N: bound of the feedback of each finger while it moves alone
 _STOP_FORCE = 2.0  # N: bound of the feedback of each finger that keeps its place after an abort
-_RETRACT_SPEED = 1.0  # rad/s: mean rate of the fastest joint from the released posture to the pre-grasp posture
-_LEAST_RETRACT_TIME = 0.3  # s
 _REST_SHARE = 0.5  # of the tolerance of a posture: error that static friction may leave in a finger at rest
+_STOPPED = "stopped by the caller"
 _DONE = frozenset(("done", "stopped"))
 
 
@@ -57,7 +58,7 @@ class PhaseController:
         records: the phases that have ended.
 
     Raises:
-        InvalidInput: no gains are stable with these sensors.
+        InvalidInput: no gains are stable with these sensors, or a phase cannot end within its time limit.
     """
 
     def __init__(
@@ -74,7 +75,8 @@ class PhaseController:
         self._control = ControlSettings.for_sensors(self.sensors, base, drives=plan.grasp.hand.drives).settings
         self._make_controller = make_controller or self._output_feedback
         hand, grasp = plan.grasp.hand, plan.grasp
-        rest_band = _REST_SHARE * self.settings.posture_tolerance  # rad
+        check_times(plan, self.settings)
+        rest_band = _REST_SHARE * self.settings.posture_tolerances(hand)  # rad or m
         self._servo = FingerServo(hand, grasp.fingers, self.sensors, plan.gravity_H, self.settings.largest_rate, rest_band)
         self._detector = ContactDetector(hand, self.sensors, self.settings, self._servo.period)
         self._drives = DriveMap(hand, self._control.position_error, self._servo.period)
@@ -101,7 +103,7 @@ class PhaseController:
 
     @property
     def signs(self) -> tuple[str, ...]:
-        """(N,) what showed the contact of each finger; empty for fingers without contact."""
+        """(N,) what showed the contact of each finger in the close; empty for fingers without contact, and after the place."""
         return ("",) * len(self.grasp.fingers) if self._closing is None else self._closing.signs
 
     def step(self, measurement: Measurement) -> PhaseCommand:
@@ -113,6 +115,7 @@ class PhaseController:
         Raises:
             InvalidInput: the measurement belongs to another hand, or is earlier than the last one.
         """
+        self._check(measurement)
         if self._memory is None or self._start is None:
             self._start, self._memory = measurement.t, self._servo.initial_memory(measurement)
         t = measurement.t - self._start
@@ -121,7 +124,7 @@ class PhaseController:
         self._last = t
         result = self._active.step(t - self._phase_start, measurement, self._memory)
         servo, self._memory = result.servo
-        phase = self.phase
+        phase, signs = self.phase, self.signs
         if phase not in _DONE:
             abort = self._request or result.abort
             if not abort and not result.is_over and t - self._phase_start > PHASE_RULES[phase].time_limit:
@@ -131,15 +134,15 @@ class PhaseController:
             elif result.is_over:
                 self._advance(t, servo, result.base)
         self._base = result.base
-        return self._command(t, phase, servo, result)
+        return self._command(t, phase, signs, result)
 
-    def stop(self, reason: str = "stopped by the caller") -> None:
+    def stop(self, reason: str = _STOPPED) -> None:
         """Stop the cycle with the safe stop of the present phase, from the next step on.
 
         Args:
-            reason: kept in the record of the phase and in the commands.
+            reason: kept in the record of the phase and in the commands; an empty one counts as the default.
         """
-        self._request = reason
+        self._request = reason or _STOPPED
 
     # ── sequence ───────────────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -179,6 +182,7 @@ class PhaseController:
             return CarryPhase(held, rest.p, plan.move, profiles.move)
         if self.phase == "place":
             return CarryPhase(held, rest.p, -plan.lift, profiles.place, lowers=True)
+        self._closing = None  # the fingers leave the object
         return ReleasePhase(held, servo.q, rest, plan.q_pregrasp)
 
     def _touch(self, servo: ServoStep) -> bool:
@@ -207,8 +211,8 @@ class PhaseController:
             shift = shift - (shift @ self.plan.down) * self.plan.down
         self.phase, self._phase_start, self.grasp = "reopen", t, self.plan.grasp
         self._held = self._closing = None
-        motion = JointTrajectory.between(servo.q, self.plan.q_pregrasp, self._opening_time(servo.q))
-        self._active = ReopenPhase(self._joint_phase(motion, BaseMotion.at_rest(base.p)), shift)
+        opening = self._joint_phase(self._opening(servo.q), BaseMotion.at_rest(base.p))
+        self._active = ReopenPhase(self.grasp.hand, opening, shift)
 
     def _stop(self, t: float, reason: str, q: Array, base: BaseMotion) -> None:
         """End the cycle with the safe stop of the present phase, at the present posture and motion of the base."""
@@ -219,18 +223,16 @@ class PhaseController:
         if rule.safe_stop == "hold object" and self._held is not None:
             self._active = HoldObject(self._held, base)
         else:
-            rest = BaseMotion.at_rest(base.p)
-            self._active = HoldJoints(self._servo, q, rest, self._bounds(_STOP_FORCE))
+            self._active = HoldJoints(self._servo, q, base, self._bounds(_STOP_FORCE))
 
     def _retraction(self, q: Array) -> JointTrajectory:
         """Return the motion from a posture to the pre-grasp posture and back along the approach."""
-        plan = self.plan
-        opening = JointTrajectory.between(q, plan.q_pregrasp, self._opening_time(q))
-        return opening.followed_by(plan.approach.reversed())
+        return self._opening(q).followed_by(self.plan.approach.reversed())
 
-    def _opening_time(self, q: Array) -> float:
-        """Return the time of the motion from a posture to the pre-grasp posture, s."""
-        return max(float(np.abs(self.plan.q_pregrasp - q).max()) / _RETRACT_SPEED, _LEAST_RETRACT_TIME)
+    def _opening(self, q: Array) -> JointTrajectory:
+        """Return the motion from a posture to the pre-grasp posture."""
+        q_open = self.plan.q_pregrasp
+        return JointTrajectory.between(q, q_open, opening_time(self.plan.grasp.hand, q, q_open))
 
     # ── parts ──────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -248,9 +250,18 @@ class PhaseController:
         """Store the phase that ends."""
         self.records = (*self.records, PhaseRecord(self.phase, self._phase_start, t, reason, is_aborted, self.grasp))
 
-    def _command(self, t: float, phase: PhaseName, servo: ServoStep, result: PhaseTorques) -> PhaseCommand:
+    def _check(self, measurement: Measurement) -> None:
+        """Raise InvalidInput if a measurement belongs to another hand or grasp."""
+        hand, count = self.grasp.hand, len(self.grasp.fingers)
+        if len(measurement.q) != hand.n:
+            raise InvalidInput("measurement.q", measurement.q.shape, f"({hand.n},), one for each motor of {hand.name}")
+        wrench = measurement.tip_wrench
+        if wrench is not None and len(wrench) != count:
+            raise InvalidInput("measurement.tip_wrench", wrench.shape, f"({count}, 6), a row for each finger of the grasp")
+
+    def _command(self, t: float, phase: PhaseName, signs: tuple[str, ...], result: PhaseTorques) -> PhaseCommand:
         """Return the command of a step."""
-        count, command = len(self.grasp.fingers), result.command
+        count, command, servo = len(self.grasp.fingers), result.command, result.servo[0]
         f_normal, margin = np.zeros(count), float("nan")
         if command is not None:
             f_normal = result.share * command.contacts.pad(np.asarray(command.f))[:, 2]
@@ -260,7 +271,7 @@ class PhaseController:
             phase=phase,
             tau=result.tau,
             base=result.base,
-            touching=self.signs,
+            touching=signs,
             f_normal=freeze(f_normal),
             slip_margin=margin,
             message=self._message,

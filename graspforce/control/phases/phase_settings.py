@@ -7,11 +7,16 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+
 from graspforce.core import arrays, fields
+from graspforce.core.arrays import Array
 from graspforce.core.records import set_fields
 from graspforce.core.settings_record import SettingsRecord
+from graspforce.hand.hand import Hand
 
 _MOST_ATTEMPTS = 10
+_SLIDE_TOLERANCE = 1e-3  # m: posture tolerance of a prismatic joint
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +38,7 @@ class PhaseSettings(SettingsRecord):
         squeeze_time: time in which the forces rise from the touch to the planned forces, s.
         transfer_time: time in which the weight goes from the table to the fingers, and back, s.
         settling_time: time for which the joints must be at a posture before the phase ends, s.
-        posture_tolerance: largest joint error at the end of approach and retract, rad.
+        posture_tolerance: largest joint error at the end of approach and retract, rad. That of a prismatic joint is 1 mm.
         contact_tolerance: distance of a fingertip from the surface from which its contact counts as lost, m.
         largest_shift: distance that the object may move in the squeeze, m; beyond it the fingers let go.
         loss_time: time after which a lost contact, a step without forces, or a pause of the measurements ends the cycle, s.
@@ -70,3 +75,12 @@ class PhaseSettings(SettingsRecord):
         names = [each.name for each in dataclasses.fields(self) if each.name != "attempts"]
         numbers = {name: arrays.check_number(getattr(self, name), name, above=0.0) for name in names}
         set_fields(self, **numbers, attempts=fields.check_integer(self.attempts, "attempts", minimum=1, maximum=_MOST_ATTEMPTS))
+
+    def posture_tolerances(self, hand: Hand) -> Array:
+        """Return the largest errors (n,) of the joints at the end of approach and retract: rad, or m for prismatic joints.
+
+        Args:
+            hand: the hand.
+        """
+        slides = [joint.is_prismatic for joint in hand.joints]
+        return np.where(slides, _SLIDE_TOLERANCE, self.posture_tolerance)

@@ -10,13 +10,12 @@ from graspforce.control.phases.cycle_plan import BaseMotion
 from graspforce.control.phases.finger_servo import ServoMemory
 from graspforce.control.phases.object_phases import HeldObject, YieldingTarget
 from graspforce.control.phases.phase_step import PhaseTorques
-from graspforce.control.phases.tip_motion import TipMotion
+from graspforce.control.phases.phase_times import release_time
 from graspforce.core.arrays import Array, freeze
 from graspforce.estimation.measurement import Measurement
 from graspforce.geometry.minimum_jerk import minimum_jerk
 
 _OPEN_FORCE = 5.0  # N: bound of the feedback of fingers that open
-_LEAST_TIME = 0.2  # s, of the opening
 
 
 class ReleasePhase:
@@ -34,9 +33,7 @@ class ReleasePhase:
 
     def __init__(self, held: HeldObject, q: Array, base: BaseMotion, q_open: Array) -> None:
         self._held, self._base, self._wait = held, base, JointMotion(q)
-        tips = TipMotion(held.grasp.hand, held.grasp.fingers)
-        distance = float(np.linalg.norm(tips.positions(q_open) - tips.positions(q), axis=1).max())  # m
-        self._opening = JointTrajectory.between(q, q_open, max(distance / held.settings.open_speed, _LEAST_TIME))
+        self._opening = JointTrajectory.between(q, q_open, release_time(held.grasp, q, q_open, held.settings))
         self._target = YieldingTarget(held)
 
     def step(self, t: float, measurement: Measurement, memory: ServoMemory) -> PhaseTorques:

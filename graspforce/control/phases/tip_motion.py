@@ -137,6 +137,15 @@ class TipMotion:
                 free = free[is_free]
         return v
 
+    def velocities(self, q: Array, rates: Array) -> Array:
+        """Return the velocities (N, 3) of the fingertips in H, m/s.
+
+        Args:
+            q: (n,) joint positions, rad.
+            rates: (n,) joint rates, rad/s.
+        """
+        return np.asarray(self._hand.model.frame_jacobians(q[None], self._tips)[1][0, :, :3] @ rates)
+
     def tip_forces(self, q: Array, tau: Array) -> Array:
         """Return the typical sizes (N,) of forces at the fingertips that balance joint torques, N.
 

@@ -16,6 +16,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 from scipy.optimize import least_squares
 
 from graspforce.contact.contact import Contact, ContactSet
@@ -24,7 +25,7 @@ from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.geometry import Shape
 from graspforce.geometry.rotations import rotation_exp
-from graspforce.geometry.vectors import unit_vectors
+from graspforce.geometry.vectors import table_axes, unit_vectors
 from graspforce.grasp.grasp import Grasp
 
 POSE_DEVIATIONS = 2.0  # standard deviations of the object's pose within which it is
@@ -43,19 +44,36 @@ def pose_from_touch(grasp: Grasp, p_tip: Array, down: Array, settings: PhaseSett
     Raises:
         InvalidInput: the object has no shape.
     """
-    shape = grasp.body.shape
-    if shape is None:
-        raise InvalidInput("grasp.body.shape", None, "given: the object's pose follows from its surface")
+    shape = _surface(grasp)
     radii = np.array([grasp.hand.finger(name).tip_radius or 0.0 for name in grasp.fingers])  # m
-    axes = np.linalg.svd(down[None])[2][1:]  # two directions along the table
     deviations = np.array([settings.position_error, settings.position_error, settings.angle_error])
 
+    def displaced(x: Array) -> tuple[Array, Array]:
+        scaled = deviations * x
+        return pose_on_table(grasp, down, scaled[:2], float(scaled[2]))
+
     def errors(x: Array) -> Array:
-        distances = _distances(shape, *_displaced(grasp, deviations * x, axes, down), p_tip) - radii
+        distances = _distances(shape, *displaced(x), p_tip) - radii
         return np.concatenate([distances / settings.contact_error, x])
 
     found = least_squares(errors, np.zeros(3), bounds=(-POSE_DEVIATIONS, POSE_DEVIATIONS), ftol=_CONVERGED)
-    return _displaced(grasp, deviations * found.x, axes, down)
+    return displaced(found.x)
+
+
+def pose_on_table(grasp: Grasp, down: Array, offset: npt.ArrayLike, angle: float) -> tuple[Array, Array]:
+    """Return the object's pose after a displacement along the table and a rotation about the vertical through O's origin.
+
+    Args:
+        grasp: the grasp with the expected pose.
+        down: (3,) unit vector along gravity, in H.
+        offset: (2,) displacement along `table_axes(down)`, m.
+        angle: rotation about the vertical, rad.
+
+    Returns:
+        p_HO (3,), m, and R_HO (3, 3).
+    """
+    p_HO = grasp.p_HO + np.asarray(offset) @ table_axes(down)
+    return np.asarray(p_HO), np.asarray(rotation_exp(angle * down) @ grasp.R_HO)
 
 
 def touched_grasp(grasp: Grasp, q: Array, p_tip: Array, pose: tuple[Array, Array]) -> Grasp:
@@ -66,9 +84,11 @@ def touched_grasp(grasp: Grasp, q: Array, p_tip: Array, pose: tuple[Array, Array
         q: (n,) measured joint positions, rad.
         p_tip: (N, 3) centres of the fingertips, in H, m.
         pose: p_HO (3,) and R_HO (3, 3) of the object.
+
+    Raises:
+        InvalidInput: the object has no shape.
     """
-    shape, (p_HO, R_HO) = grasp.body.shape, pose
-    assert shape is not None  # pose_from_touch checks it
+    shape, (p_HO, R_HO) = _surface(grasp), pose
     centres = (p_tip - p_HO) @ R_HO
     points = shape.project_to_surface(centres)
     outside = shape.phi(centres) > 0.0
@@ -86,9 +106,11 @@ def touch_gaps(grasp: Grasp, p_tip: Array) -> Array:
     Args:
         grasp: the grasp, with the object's pose.
         p_tip: (N, 3) centres of the fingertips, in H, m.
+
+    Raises:
+        InvalidInput: the object has no shape.
     """
-    shape = grasp.body.shape
-    assert shape is not None  # pose_from_touch checks it
+    shape = _surface(grasp)
     radii = np.array([grasp.hand.finger(name).tip_radius or 0.0 for name in grasp.fingers])  # m
     return np.asarray(_distances(shape, grasp.p_HO, grasp.R_HO, p_tip) - radii)
 
@@ -105,9 +127,11 @@ def contact_shifts(planned: Grasp, touched: Grasp) -> tuple[Array, Array]:
     return distances, np.array([math.acos(min(1.0, max(-1.0, each))) for each in cosines.tolist()])
 
 
-def _displaced(grasp: Grasp, x: Array, axes: Array, down: Array) -> tuple[Array, Array]:
-    """Return the expected pose after a displacement along the table, m, and a rotation about the vertical, rad."""
-    return np.asarray(grasp.p_HO + x[:2] @ axes), np.asarray(rotation_exp(x[2] * down) @ grasp.R_HO)
+def _surface(grasp: Grasp) -> Shape:
+    """Return the surface of the object; raise InvalidInput if it has none."""
+    if grasp.body.shape is None:
+        raise InvalidInput("grasp.body.shape", None, "given: the object's pose follows from its surface")
+    return grasp.body.shape
 
 
 def _distances(shape: Shape, p_HO: Array, R_HO: Array, p: Array) -> Array:

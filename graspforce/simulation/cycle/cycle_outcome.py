@@ -95,7 +95,7 @@ def judge_cycle(recording: CycleRecording) -> CycleOutcome:
     up = -recording.scene.down
     place = recording.p_HO + recording.base  # m, relative to the table, in the axes of H
     height = (place - place[0]) @ up
-    start = int(np.searchsorted(recording.t, _SETTLED))
+    start = min(int(np.searchsorted(recording.t, _SETTLED)), len(recording.t) - 1)
     squeeze, held = recording.steps_of("squeeze"), recording.steps_of("lift", "move")
     moved = turned = float("nan")
     if len(squeeze):
@@ -106,7 +106,7 @@ def judge_cycle(recording: CycleRecording) -> CycleOutcome:
     place_error = float(np.linalg.norm(shift - (shift @ up) * up))
     is_round = isinstance(recording.scene.grasp.body.shape, Sphere | Superquadric)
     down_O = recording.R_HO[start].T @ -up
-    tilt = math.acos(min(1.0, float((recording.R_HO[-1] @ down_O) @ -up)))
+    tilt = math.acos(min(1.0, max(-1.0, float((recording.R_HO[-1] @ down_O) @ -up))))
     peak_planned = float(recording.f_planned.max())
     outcome = CycleOutcome(
         status="done",

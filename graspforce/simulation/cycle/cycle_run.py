@@ -17,6 +17,7 @@ from graspforce.control.state import GraspState
 from graspforce.core.arrays import Array, freeze
 from graspforce.estimation.measurement import Measurement
 from graspforce.geometry.rotations import rotation_exp
+from graspforce.geometry.vectors import table_axes
 from graspforce.simulation.cycle.rest import resting_pose
 from graspforce.simulation.cycle.table_scene import TableScene
 from graspforce.simulation.plants.driven_plant import DrivenPlant, step_plant
@@ -149,7 +150,7 @@ class TablePlant:
         R_OG = Rotation.from_rotvec(np.array(options.shape_turn)).as_matrix()  # G: frame of the surface
         p_GM = R_OG.T @ ((options.body or scene.grasp.body).p_OM - options.shape_offset)
         p_HG, R_HG = resting_pose(scene.grasp.body.shape, p_GM, pose, scene.down)
-        R_HO = rotation_exp(_TILT * np.linalg.svd(scene.down[None])[2][1]) @ R_HG @ R_OG.T
+        R_HO = rotation_exp(_TILT * table_axes(scene.down)[0]) @ R_HG @ R_OG.T
         self.plant.reset(np.zeros(scene.grasp.contacts.size))  # the fingers do not touch yet, so they need not hold the object
         self.inner.place(q, p_HG - R_HO @ options.shape_offset, R_HO)
 
@@ -282,7 +283,7 @@ def run_cycle(
     builder = _Builder(table, len(scene.grasp.fingers))
     pending: deque[tuple[int, PhaseCommand]] = deque()
     command = active = controller.step(reader.read(plant))
-    end = np.inf
+    end, cause = np.inf, f"the simulation ended after {duration:g} s"
     for k in range(round(duration / plant.dt)):
         t = k * plant.dt
         reader.observe(plant)
@@ -296,12 +297,13 @@ def run_cycle(
         table.step(command, active)
         builder.add(t, state, command)
         if on_step(table.inner, command) is False:
+            cause = f"the callback ended the simulation after {t + plant.dt:.4g} s"
             break
         if controller.is_over:
             end = min(end, t + _TIME_AFTER_STOP)
         if t >= end:
             break
-    message = command.message if controller.is_over else f"{controller.phase}: the simulation ended after {duration:g} s"
+    message = command.message if controller.is_over else f"{controller.phase}: {cause}"
     return builder.finish(controller, scene, world, message)
 
 

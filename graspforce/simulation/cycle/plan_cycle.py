@@ -13,11 +13,12 @@ from graspforce.control.joints.joint_trajectory import JointTrajectory
 from graspforce.control.phases.cycle_plan import CyclePlan
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.phases.tip_motion import opened_posture
+from graspforce.control.phases.touched_grasp import pose_on_table
 from graspforce.control.settings import ControlSettings
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.geometry import Box, Cylinder, Sphere
-from graspforce.geometry.rotations import rotation_exp
+from graspforce.geometry.vectors import table_axes
 from graspforce.grasp.body import Body
 from graspforce.grasp.collision.obstacle import Obstacle
 from graspforce.grasp.collision.scene_collision import SceneCollision
@@ -75,7 +76,6 @@ def plan_cycle(scene: TableScene, settings: PhaseSettings | None = None, motion:
     q_pregrasp, standoff = _pregrasp(scene, settings.standoff)
     q_start = _start_posture(scene, q_pregrasp)
     approach = _approach(scene, q_start, q_pregrasp, motion.optimised)
-    axes = np.linalg.svd(scene.down[None])[2][1:]
     return CyclePlan(
         grasp=grasp,
         gravity_H=scene.gravity_H,
@@ -83,7 +83,7 @@ def plan_cycle(scene: TableScene, settings: PhaseSettings | None = None, motion:
         standoff=standoff,
         approach=approach,
         lift=-motion.lift * scene.down,
-        move=np.asarray(motion.move) @ axes,
+        move=np.asarray(motion.move) @ table_axes(scene.down),
     )
 
 
@@ -165,9 +165,7 @@ def displaced_pose(scene: TableScene, offset: npt.ArrayLike, angle: float) -> tu
         offset: (2,) displacement along the table, m.
         angle: rotation about the vertical, rad.
     """
-    axes = np.linalg.svd(scene.down[None])[2][1:]
-    grasp = scene.grasp
-    return np.asarray(grasp.p_HO + np.asarray(offset) @ axes), np.asarray(rotation_exp(angle * scene.down) @ grasp.R_HO)
+    return pose_on_table(scene.grasp, scene.down, offset, angle)
 
 
 def find_cycle(

@@ -17,6 +17,7 @@ import numpy as np
 from graspforce.core.arrays import Array
 from graspforce.geometry import Shape, Sphere, Superquadric
 from graspforce.geometry.rotations import rotation_exp
+from graspforce.geometry.vectors import table_axes
 
 _PROBE = 0.02  # rad: a direction is stable if V is not lower this far beside it
 _PROBES = 16  # directions beside it
@@ -32,7 +33,7 @@ def is_stable(shape: Superquadric, down: Array) -> bool:
         down: (3,) unit vector in O.
     """
     least = _support(shape, down)
-    first, second = np.linalg.svd(down[None])[2][1:]
+    first, second = table_axes(down)
     for angle in np.linspace(0.0, 2.0 * math.pi, _PROBES, endpoint=False):
         beside = math.cos(_PROBE) * down + math.sin(_PROBE) * (math.cos(angle) * first + math.sin(angle) * second)
         if _support(shape, beside) < least - _ROUNDING:
@@ -60,7 +61,7 @@ def resting_pose(shape: Shape | None, p_OM: Array, pose: tuple[Array, Array], do
     sine = float(np.linalg.norm(axis))
     angle = math.atan2(sine, float(after @ before))
     if sine < _ROUNDING:
-        axis, sine = np.linalg.svd(before[None])[2][1], 1.0
+        axis, sine = table_axes(before)[0], 1.0
     p = p_HO + (_support(shape, before) - _support(shape, after)) * down
     return np.asarray(p), np.asarray(R_HO @ rotation_exp(angle * axis / sine))
 
@@ -72,7 +73,7 @@ def _lowest(shape: Sphere | Superquadric, p_OM: Array, start: Array) -> Array:
         return p_OM / distance if distance > _ROUNDING else start
     from scipy.optimize import minimize  # imported here, because it is slow to import
 
-    across = np.linalg.svd(start[None])[2][1:]
+    across = table_axes(start)
     simplex = _FIRST_STEP * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
 
     def direction(x: Array) -> Array:

@@ -11,6 +11,7 @@ from graspforce.core.arrays import Array, freeze
 from graspforce.core.constants import STANDARD_GRAVITY
 from graspforce.core.errors import InvalidInput
 from graspforce.geometry import Box, Cylinder, Shape, Sphere, Superquadric, TriangleMesh
+from graspforce.geometry.vectors import table_axes
 from graspforce.grasp.body import Body
 from graspforce.grasp.collision.obstacle import Obstacle
 from graspforce.grasp.collision.scene_collision import SceneCollision
@@ -201,7 +202,7 @@ def _mesh_faces(shape: TriangleMesh) -> list[tuple[Array, float]]:
 
 def _is_inside(p: Array, corners: Array, n: Array) -> bool:
     """Return whether a point of a plane is inside the convex polygon of corners in any order."""
-    axes = np.linalg.svd(n[None])[2][1:]
+    axes = table_axes(n)
     flat = (corners - p) @ axes.T
     angles = np.sort(np.arctan2(flat[:, 1], flat[:, 0]))
     return bool(np.diff(np.append(angles, angles[0] + 2.0 * np.pi)).max() < np.pi)
@@ -209,7 +210,7 @@ def _is_inside(p: Array, corners: Array, n: Array) -> bool:
 
 def _axes_with_third(direction: Array) -> Array:
     """Return a rotation matrix whose third axis is a unit vector."""
-    first, second = np.linalg.svd(direction[None])[2][1:]
+    first, second = table_axes(direction)
     if np.linalg.det(np.array([first, second, direction])) < 0.0:
         first, second = second, first
     return np.column_stack([first, second, direction])

@@ -10,9 +10,11 @@ from graspforce.control.phases.contact_detector import ContactDetector
 from graspforce.control.phases.cycle_plan import BaseMotion, CyclePlan
 from graspforce.control.phases.finger_servo import ForceBounds, ServoMemory, ServoStep
 from graspforce.control.phases.phase_settings import PhaseSettings
+from graspforce.control.phases.tip_motion import TipMotion
 from graspforce.control.phases.touched_grasp import touch_gaps
 from graspforce.estimation.measurement import Measurement
 from graspforce.estimation.sensor_model import SensorModel
+from graspforce.hand.hand import Hand
 from graspforce.simulation.cycle.plan_cycle import CycleMotion, plan_cycle
 from tests.support.table_scenes import ball_scene
 
@@ -69,12 +71,16 @@ def close(plan: CyclePlan, force: float, stuck: float = STUCK) -> tuple[bool, st
     return result.is_over, result.abort, touch_gaps(plan.grasp, result.servo[0].p_tip)
 
 
+def new_phase(plan: CyclePlan) -> ClosePhase:
+    """Return the phase of fingers that never stick."""
+    detector = ContactDetector(plan.grasp.hand, SensorModel(), SETTINGS, PERIOD)
+    return ClosePhase(StickingServo(plan, 0.0), detector, plan, SETTINGS, BaseMotion.at_rest(np.zeros(3)))
+
+
 def largest_bound(plan: CyclePlan) -> float:
     """Return the bound of the first finger before it is raised, N."""
-    hand = plan.grasp.hand
-    servo, detector = StickingServo(plan, 0.0), ContactDetector(hand, SensorModel(), SETTINGS, PERIOD)
-    phase = ClosePhase(servo, detector, plan, SETTINGS, BaseMotion.at_rest(np.zeros(3)))
-    return float(phase._bound(ServoMemory(None, np.zeros(hand.n), np.full(hand.n, 0.05)), 0.3)[0])
+    n = plan.grasp.hand.n
+    return float(new_phase(plan)._bound(ServoMemory(None, np.zeros(n), np.full(n, 0.05)), 0.3)[0])
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.5])
@@ -99,3 +105,31 @@ def test_finger_that_sticks_where_the_object_cannot_be_does_not_count_as_touchin
     assert is_over, abort
     assert np.abs(gaps).max() < 1e-3
     assert not close(plan, 5.1, stuck)[0]
+
+
+def test_target_has_the_commanded_speed_if_it_follows_its_normal(plan):
+    hand, speed = plan.grasp.hand, SETTINGS.close_speed
+    phase = new_phase(plan)
+    normals = plan.grasp.contacts.R_OC[:, :, 2] @ plan.grasp.R_HO.T
+    commanded = np.array([speed, 0.0, speed])
+    _, rates = TipMotion(hand, plan.grasp.fingers).advance(plan.q_pregrasp, commanded[:, None] * normals, PERIOD)
+    assert phase._target_speeds(commanded, rates).tolist() == commanded.tolist()
+    slow = phase._target_speeds(commanded, 0.45 * rates)
+    assert slow == pytest.approx(0.5 * commanded, rel=0.02)  # 0.45 of 0.9, from which a target counts as following
+    assert not phase._target_speeds(commanded, np.zeros(hand.n)).any()
+    assert not phase._target_speeds(commanded, -rates).any()
+
+
+@pytest.mark.parametrize("angle", [0.0, 30.0, 50.0, 65.0])
+def test_target_of_a_finger_of_one_joint_is_as_slow_as_its_tip(angle):
+    """The tip of a parallel jaw moves along its rail; the component of its motion along a normal has the share cos²."""
+    hand = Hand.load("parallel_jaws")
+    motion = TipMotion(hand, ("left",))
+    rail = motion.velocities(hand.neutral, np.ones(hand.n))[0]
+    rail /= np.linalg.norm(rail)
+    across = np.cross(rail, [0.6, 0.0, 0.8])
+    across /= np.linalg.norm(across)
+    n = np.cos(np.radians(angle)) * rail + np.sin(np.radians(angle)) * across
+    _, rates = motion.advance(0.5 * (hand.q_lower + hand.q_upper), 0.02 * n[None], PERIOD)
+    speed = motion.velocities(hand.neutral, rates)[0] @ n
+    assert speed == pytest.approx(0.02 * np.cos(np.radians(angle)) ** 2, rel=1e-3)

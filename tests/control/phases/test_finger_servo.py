@@ -137,3 +137,42 @@ def test_friction_is_learned_only_where_no_finger_may_touch(learns):
     for k in range(100):
         _, memory = SERVO.step(memory, Measurement(1e-3 * k, REST), moving, np.full(3, 20.0), is_free=True, learns=learns)
     assert (memory.friction > 0.0).any() == learns
+
+
+@pytest.mark.parametrize("name", ["shadow_right", "barrett", "allegro_right"])
+@pytest.mark.parametrize("seed", range(5))
+def test_true_tip_force_is_within_the_bound_for_fingers_that_share_joints(name, seed):
+    """The force that accelerates the tips as the torques of the feedback do, Λ J M⁻¹ tau with Λ = (J M⁻¹ Jᵀ)⁻¹."""
+    hand, rng, bound = Hand.load(name), np.random.default_rng(seed), 2.0  # N
+    fingers = tuple(finger.name for finger in hand.fingers)[-3:]
+    servo = FingerServo(hand, fingers, SensorModel(), np.zeros(3), 60.0, 0.015)
+    rest = hand.q_lower + rng.uniform(0.3, 0.7, hand.n) * (hand.q_upper - hand.q_lower)
+    moving = [j for finger in fingers for j in hand.finger(finger).joints]
+    measurement, error = Measurement(0.0, rest), rng.standard_normal(hand.n)
+    error *= np.where(np.isin(np.arange(hand.n), moving), 0.2, 0.05)  # rad: idle fingers have no bound
+    wanted, still = (
+        servo.step(servo.initial_memory(measurement), measurement, JointMotion(rest + each), np.full(3, bound))[0]
+        for each in (error, np.zeros(hand.n))
+    )
+    tau = wanted.tau - still.tau
+    assert (np.abs(wanted.tau) < hand.torque_upper).all()  # within the limits of the motors
+    J = hand.model.frame_jacobians(rest[None], [hand.frame_id(finger) for finger in fingers])[1][0][:, :3].reshape(9, hand.n)
+    mobility = J @ np.linalg.solve(hand.model.mass_matrix(rest), J.T)  # 1/kg
+    mobility += 1e-6 * mobility.trace() / 9 * np.eye(9)  # as in the servo
+    true = np.linalg.solve(mobility, J @ np.linalg.solve(hand.model.mass_matrix(rest), tau)).reshape(3, 3)
+    np.testing.assert_allclose(true, wanted.f_feedback, rtol=0, atol=0.01 * bound)
+    sizes = np.linalg.norm(true, axis=1)
+    assert sizes.max() <= 1.01 * bound
+    assert sizes.max() >= 0.99 * bound  # the feedback is as strong as the bound permits
+
+
+def test_bound_of_a_finger_does_not_weaken_fingers_without_shared_joints():
+    """Only fingers with a common joint have a common factor."""
+    far, near = (list(HAND.finger(name).joints) for name in FINGERS[:2])
+    error, bound = np.zeros(HAND.n), np.full(3, 2.0)
+    error[near] = 1e-3  # rad
+    alone = step(error, bound)
+    error[far] = 0.5  # rad
+    together = step(error, bound)
+    assert np.linalg.norm(together.f_feedback[0]) == pytest.approx(2.0)
+    np.testing.assert_allclose(together.tau[near], alone.tau[near], rtol=0, atol=1e-12)

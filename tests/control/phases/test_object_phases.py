@@ -188,3 +188,16 @@ def test_camera_does_not_move_a_held_object():
 def test_fingertip_is_lost_when_it_leaves_its_place_at_the_touch(gap, at_touch, expected):
     held = held_object(RecordingController((0.0, gap, 0.0)), (0.0, at_touch, 0.0))
     assert loss_time(held) == pytest.approx(expected, abs=2 * PERIOD)
+
+
+def test_torques_with_those_of_the_accelerated_links_keep_the_limits():
+    hand, base = ball_scene().grasp.hand, BaseMotion(np.zeros(3), np.zeros(3), np.array([3.0, -2.0, 5.0]))
+    held, q = held_object(RecordingController()), ball_scene().grasp.q
+    inertial = hand.gravity_torque(q, -base.a)
+    zero = SimpleNamespace(tau=np.zeros(hand.n))
+    np.testing.assert_allclose(held.torque(zero, q, base), inertial)  # within the limits
+    for bound in (hand.torque_lower, hand.torque_upper):
+        tau = held.torque(SimpleNamespace(tau=0.999 * bound), q, base)
+        assert ((tau >= hand.torque_lower) & (tau <= hand.torque_upper)).all()
+        np.testing.assert_allclose(tau, np.clip(0.999 * bound + inertial, hand.torque_lower, hand.torque_upper))
+        assert (tau == bound).any()

@@ -10,7 +10,14 @@ from scipy.spatial.transform import Rotation
 
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.phases.tip_motion import TipMotion, opened_posture
-from graspforce.control.phases.touched_grasp import POSE_DEVIATIONS, contact_shifts, pose_from_touch, touch_gaps, touched_grasp
+from graspforce.control.phases.touched_grasp import (
+    POSE_DEVIATIONS,
+    contact_shifts,
+    pose_from_touch,
+    touch_gaps,
+    touched_grasp,
+)
+from graspforce.core.errors import InvalidInput
 from graspforce.geometry import Box
 from graspforce.geometry.rotations import rotation_exp
 from graspforce.grasp.body import Body
@@ -137,3 +144,17 @@ def test_gaps_at_the_touch_are_the_distances_of_the_tips_from_the_surface():
     moved = np.array([0.002, 0.0, -0.001])
     at_contact = touch_gaps(grasp, tips(grasp))
     assert touch_gaps(grasp, tips(grasp) + moved[:, None] * outward) - at_contact == pytest.approx(moved, abs=1e-6)
+
+
+def test_object_without_a_shape_is_refused():
+    scene = ball_scene()
+    grasp = replace(scene.grasp, body=replace(scene.grasp.body, shape=None))
+    p_tip = tips(grasp)
+    calls = (
+        lambda: pose_from_touch(grasp, p_tip, scene.down, PhaseSettings()),
+        lambda: touched_grasp(grasp, grasp.q, p_tip, (grasp.p_HO, grasp.R_HO)),
+        lambda: touch_gaps(grasp, p_tip),
+    )
+    for call in calls:
+        with pytest.raises(InvalidInput, match=r"grasp\.body\.shape"):
+            call()

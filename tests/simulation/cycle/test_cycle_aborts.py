@@ -80,7 +80,7 @@ def test_pause_of_the_measurements_stops_the_cycle():
 def test_phase_that_takes_too_long_stops():
     late, scene = PHASE_RULES["approach"].time_limit + 0.1, ball_scene()
     plan = plan_cycle(scene, SETTINGS, MOTION)
-    slow = JointTrajectory.between(plan.q_start, plan.q_pregrasp, 20.0)
+    slow = JointTrajectory.between(plan.q_start, plan.q_pregrasp, late - 0.6)  # s; the joints do not follow
     controller = PhaseController(replace(plan, approach=slow), replace(SETTINGS, loss_time=2.0 * late))
     controller.step(Measurement(0.0, plan.q_start))
     assert controller.phase == "approach"

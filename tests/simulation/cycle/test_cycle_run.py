@@ -10,6 +10,7 @@ import pytest
 from graspforce.control.phases.phase_controller import PhaseController
 from graspforce.control.phases.phase_rules import PHASE_ORDER
 from graspforce.control.phases.phase_settings import PhaseSettings
+from graspforce.control.phases.phase_step import PhaseCommand
 from graspforce.simulation.cycle.cycle_outcome import judge_cycle, phase_table
 from graspforce.simulation.cycle.cycle_run import CycleRecording, TablePlant, run_cycle
 from graspforce.simulation.cycle.plan_cycle import CycleMotion, displaced_pose, plan_cycle
@@ -21,12 +22,24 @@ SETTINGS = PhaseSettings(close_speed=0.04)  # a short test
 WEIGHT = 9.80665 * MASS  # N
 
 
-@pytest.fixture(scope="module")
-def recording() -> CycleRecording:
+def run(**options) -> CycleRecording:
+    """Return a cycle; with options of `run_cycle`."""
     scene, world = ball_scene(), World()
     plan = plan_cycle(scene, SETTINGS, CycleMotion(move=(0.02, 0.0), optimised=False))
     table = TablePlant(scene, world, displaced_pose(scene, OFFSET, 0.0), plan.q_start)
-    return run_cycle(table, PhaseController(plan, SETTINGS), scene, world)
+    return run_cycle(table, PhaseController(plan, SETTINGS), scene, world, **options)
+
+
+@pytest.fixture(scope="module")
+def cycle() -> tuple[CycleRecording, list[PhaseCommand]]:
+    """Return the recording of a cycle, and its commands."""
+    commands: list[PhaseCommand] = []
+    return run(on_step=lambda plant, command: commands.append(command)), commands
+
+
+@pytest.fixture(scope="module")
+def recording(cycle) -> CycleRecording:
+    return cycle[0]
 
 
 def mean_over(values: np.ndarray, steps: int = 20) -> np.ndarray:
@@ -115,3 +128,25 @@ def test_forces_keep_inside_their_cones_while_the_object_is_carried(recording):
 def test_phase_table_has_a_row_for_each_phase(recording):
     text = str(phase_table(recording))
     assert all(name in text for name in PHASE_ORDER)
+
+
+def test_signs_of_contact_end_with_the_release(cycle):
+    _, commands = cycle
+    before = [each for each in commands if each.phase in ("squeeze", "lift", "move", "place")]
+    after = [each for each in commands if each.phase in ("release", "retract", "done")]
+    assert all(all(each.touching) for each in before)
+    assert not any(any(each.touching) for each in after)
+
+
+def test_ended_simulation_names_its_time_and_cause():
+    steps = iter(range(1000))
+    by_callback = run(on_step=lambda plant, command: next(steps) < 19)
+    assert by_callback.message == "approach: the callback ended the simulation after 0.02 s"
+    assert len(by_callback.t) == 20
+    assert run(duration=0.03).message == "approach: the simulation ended after 0.03 s"
+
+
+def test_run_shorter_than_the_settling_of_the_object_is_judged():
+    outcome = judge_cycle(run(duration=0.01))
+    assert outcome.status == "stopped"
+    assert outcome.place_error == pytest.approx(0.0, abs=1e-3)

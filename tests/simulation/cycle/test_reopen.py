@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from graspforce.control.output_feedback import OutputFeedbackController
+from graspforce.control.phases.cycle_plan import STOP_DECELERATION
 from graspforce.control.phases.phase_controller import PhaseController
 from graspforce.control.phases.phase_rules import NO_FORCES, PHASE_ORDER, WRONG_OBJECT
 from graspforce.control.phases.phase_settings import PhaseSettings
@@ -33,8 +34,18 @@ class WithoutForces(OutputFeedbackController):
         return replace(super().step(*arguments, **options), forces_reused=True)
 
 
-def run_with(failures: int, settings: PhaseSettings = SETTINGS, stop_at: str = "") -> CycleRecording:
-    """Return a cycle whose first object controllers find no forces."""
+def run_with(
+    failures: int, settings: PhaseSettings = SETTINGS, stop_at: str = "", speed: float = 0.0, on_command=lambda command: None
+) -> CycleRecording:
+    """Return a cycle whose first object controllers find no forces.
+
+    Args:
+        failures: number of these controllers.
+        settings: settings of the phases.
+        stop_at: phase in which the cycle is stopped; empty for none.
+        speed: of the base from which it is stopped there, m/s.
+        on_command: called with each command.
+    """
     scene, made = ball_scene(), []
     sensors = SensorModel()
     plan = plan_cycle(scene, settings, CycleMotion(move=(0.02, 0.0), optimised=False))
@@ -47,7 +58,8 @@ def run_with(failures: int, settings: PhaseSettings = SETTINGS, stop_at: str = "
     controller = PhaseController(plan, settings, sensors, make_controller=make)
 
     def on_step(plant, command):
-        if command.phase == stop_at:
+        on_command(command)
+        if command.phase == stop_at and np.linalg.norm(command.base.v) >= speed:
             controller.stop()
 
     table = TablePlant(scene, World(), displaced_pose(scene, OFFSET, 0.0), plan.q_start)
@@ -120,3 +132,17 @@ def test_stop_is_final_while_attempts_are_left():
 def test_number_of_attempts_is_checked(attempts):
     with pytest.raises(InvalidInput, match="attempts"):
         PhaseSettings(attempts=attempts)
+
+
+def test_stop_while_the_base_moves_over_the_object_brakes_it():
+    """The velocity has no jump: the acceleration is that of the motion before the stop, and 1 m/s² after it."""
+    bases = []
+    recording = run_with(1, stop_at="reopen", speed=0.01, on_command=lambda command: bases.append(command.base))
+    assert recording.message.startswith("reopen: stopped")
+    p, v = np.array([base.p for base in bases]), np.array([base.v for base in bases])
+    dt = 1e-3  # s
+    largest = 1.001 * max(STOP_DECELERATION, max(float(np.linalg.norm(base.a)) for base in bases))  # m/s²
+    assert np.linalg.norm(v, axis=1).max() >= 0.01
+    assert np.linalg.norm(np.diff(v, axis=0), axis=1).max() <= largest * dt
+    assert np.abs(np.diff(p, axis=0) - 0.5 * dt * (v[1:] + v[:-1])).max() < largest * dt**2
+    assert not v[-1].any()
