@@ -3,7 +3,7 @@
 ``run`` appends outcomes to a file. It skips the tasks that the file holds, so that it can be interrupted and started again.
 ``--slice K/N`` runs a part of the cases, which samples every collection evenly. ``pages`` merges files into one packed record,
 and writes two reports from it and the numbers of the README's table. ``compare`` compares two records, and names the tasks
-whose verdicts differ.
+whose verdicts differ. ``pages --repeat FILE`` also marks these tasks as varying; the worse verdict counts.
 
 The tasks, each with at most `LIMIT` of processor time per solve:
 
@@ -25,14 +25,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from benchmarks import report_page
 from graspforce import problems
 from graspforce.bench import race
 from graspforce.bench.blocks import order_in_blocks, select_slice
+from graspforce.bench.judge import Verdict, worst_judgement
 from graspforce.bench.local_workers import run_tasks_here
 from graspforce.bench.merge import merge_races, pack
 from graspforce.bench.outcome import RaceOutcome, RaceTask, load
 from graspforce.bench.registry import SOLVERS
 from graspforce.bench.statistics import compare_races
+from graspforce.core.whole_file import write_text
 
 RESULTS = Path(__file__).parent / "results"
 RECORD = RESULTS / "records" / "suite" / "run-1.jsonl.xz"
@@ -99,6 +102,9 @@ def pages(options: argparse.Namespace) -> None:
     from graspforce.bench import report, site  # these draw figures; the processes of solvers do without
 
     conditions, outcomes = merge_races(options.files)
+    if options.repeat is not None:
+        text, outcomes = _repeated(outcomes, load(options.repeat)[1])
+        write_text(options.results / "suite" / "repeat.md", text)
     pack(options.record, conditions, outcomes)
     print(f"{len(outcomes)} runs, {options.record.stat().st_size / 1e6:.2f} MB: {options.record}")
     known = {outcome.task for outcome in outcomes}
@@ -112,6 +118,37 @@ def pages(options: argparse.Namespace) -> None:
             print(report.write(options.results / folder, facts, _ordered(own), command))
     own = [outcome for outcome in outcomes if outcome.task.units == "scaled"]
     site.save_history(options.results / "suite" / "history.json", conditions, _ordered(own))
+
+
+def _repeated(first: Sequence[RaceOutcome], second: Sequence[RaceOutcome]) -> tuple[str, list[RaceOutcome]]:
+    """Return a page about two runs, and the outcomes of the first run, in which tasks with different verdicts are varying."""
+    changed, _ = compare_races(first, second)
+    worse = {old.task: _worse(old, new) for old, new in changed}
+    shared = len({outcome.task for outcome in first} & {outcome.task for outcome in second})
+    limit = sum(Verdict.TIMED_OUT in (old.judgement.verdict, new.judgement.verdict) for old, new in changed)
+    rows = sorted(
+        (new.task.solver, new.task.case, _kind(new.task), old.judgement.verdict.value, new.judgement.verdict.value)
+        for old, new in changed
+    )
+    table = report_page.table(("solver", "case", "settings", "first run", "second run"), rows, text_columns=5)
+    share = f"{len(changed)} verdicts differ ({100.0 * len(changed) / max(shared, 1):.3f} %)"
+    about = (
+        f"{shared} tasks ran in both: {share}, {limit} of them because one run reached the limit of {LIMIT:g} s of processor "
+        "time. The reports count the worse verdict and mark these tasks as varying."
+    )
+    text = "\n\n".join(["# Two runs of the whole suite", about, table]) + "\n"
+    return text, [worse.get(outcome.task, outcome) for outcome in first]
+
+
+def _worse(old: RaceOutcome, new: RaceOutcome) -> RaceOutcome:
+    """Return the outcome with the worse verdict, marked as varying."""
+    worst = worst_judgement((old.judgement, new.judgement))
+    return replace(old if worst is old.judgement else new, verdict_varies=True)
+
+
+def _kind(task: RaceTask) -> str:
+    """Return settings, units, cones and start of a task."""
+    return " ".join([task.settings, task.units, "pyramid" if task.pyramid else "exact", *["warm"] * task.warm])
 
 
 def _sessions_of(conditions: dict[str, Any], outcomes: Sequence[RaceOutcome]) -> list[dict[str, Any]]:
@@ -144,10 +181,8 @@ def compare(options: argparse.Namespace) -> int:
     for old, new in changed:
         named = old.verdict_varies or new.verdict_varies
         unnamed += not named
-        task = new.task
-        kind = " ".join([task.settings, task.units, "pyramid" if task.pyramid else "exact", *["warm"] * task.warm])
         verdicts = f"{old.judgement.verdict.value} → {new.judgement.verdict.value}"
-        print(f"{task.solver} {task.case} ({kind}): {verdicts}{' (named as varying)' * named}")
+        print(f"{new.task.solver} {new.task.case} ({_kind(new.task)}): {verdicts}{' (named as varying)' * named}")
     print(f"{shared} tasks in both: {len(changed)} verdicts differ, of which {len(changed) - unnamed} are named as varying.")
     print("Times, second over first: " + ", ".join(f"{solver} {ratio:.2f}" for solver, ratio in ratios.items()))
     return unnamed
@@ -171,6 +206,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     running.add_argument("--skip", type=Path, nargs="*", default=[], help="outcome files with tasks to skip")
     writing = commands.add_parser("pages", help="merge outcome files, and write the record and the pages")
     writing.add_argument("files", type=Path, nargs="+", help="outcome files, .jsonl or .jsonl.xz")
+    writing.add_argument("--repeat", type=Path, help="outcome file of a second run: tasks with another verdict are varying")
     writing.add_argument("--record", type=Path, default=RECORD, help="packed record to write, .jsonl.xz")
     writing.add_argument("--results", type=Path, default=RESULTS, help="folder of the pages")
     for one in (running, writing):

@@ -224,3 +224,21 @@ def test_comparison_fails_for_a_difference_that_is_not_named(tmp_path: Path, cap
     assert "a y (default scaled exact): certified → inexact (named as varying)" in capsys.readouterr().out
     assert suite.main(["compare", str(first), str(other)]) == 1
     assert "2 tasks in both: 1 verdicts differ, of which 0 are named as varying." in capsys.readouterr().out
+
+
+def test_pages_mark_tasks_that_a_second_run_judges_differently(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(suite, "suite_plans", lambda _: ())
+    made = [outcome("clarabel", name) for name in ("opposed/force", "ring/3-force", "ring/3-torque")]
+    first = write(tmp_path / "1.jsonl", conditions(), made)
+    other = outcome("clarabel", "ring/3-force", Verdict.TIMED_OUT)
+    second = write(tmp_path / "2.jsonl", conditions(), [made[0], other])
+    record = tmp_path / "run.jsonl.xz"
+    options = ["--repeat", str(second), "--record", str(record), "--results", str(tmp_path)]
+    assert suite.main(["pages", str(first), *options]) == 0
+    kept = {one.task.case: (one.judgement.verdict, one.verdict_varies) for one in load(record)[1]}
+    assert kept["ring/3-force"] == (Verdict.TIMED_OUT, True)
+    assert kept["opposed/force"] == kept["ring/3-torque"] == (Verdict.CERTIFIED, False)
+    page = (tmp_path / "suite" / "repeat.md").read_text()
+    assert "2 tasks ran in both: 1 verdicts differ (50.000 %), 1 of them" in page
+    assert "| clarabel | ring/3-force | default scaled exact | certified | timed out |" in page
+    assert suite.main(["compare", str(record), str(second)]) == 0  # every difference is named
