@@ -30,8 +30,9 @@ SOLVERS = {
     "ipopt": "graspforce.bench.solvers.ipopt",
     "slsqp": "graspforce.bench.solvers.slsqp",
     "qocogen": "graspforce.bench.solvers.qocogen",
+    "cvxpygen": "graspforce.bench.solvers.cvxpygen",
 }
-BY_NAME_ONLY = ("qocogen",)  # compile code for each pattern of zeros, for seconds to minutes
+BY_NAME_ONLY = ("qocogen", "cvxpygen")  # compile code for each pattern of zeros, for seconds to minutes
 
 
 def load_adapter(name: str) -> SolverAdapter:

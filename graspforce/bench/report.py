@@ -350,7 +350,7 @@ _LIMITATIONS = (
     "Times were measured on shared machines, in calls from Python, which cost a few microseconds each. Times of different "
     "machines are not comparable; the first paragraph states which machine ran which solver. Problem data are in the solver's "
     "arrays before timing starts. Exceptions: the structured kernel, whose packing is timed, and solvers called through "
-    "CasADi, whose set-up is not timed.",
+    "CasADi and solvers that generate code, whose set-up is not timed.",
     "A pyramid admits other forces than the cone that it replaces: the optimum differs, and the problem may be infeasible. "
     "Times on pyramids and on exact cones are not directly comparable.",
     "The cost of forces is compared with a proven optimum, whose relative accuracy is 1e-7 for most cases. Excesses within "
