@@ -57,6 +57,7 @@ _MIN_PROCESSOR_SHARE = 0.1  # share of a processor that a solver gets on a busy 
 _MAX_KEPT_ANSWERS = 4  # stored cold solutions for warm starts
 _MIN_TOTAL_TIME = 0.05  # s; short solves are repeated up to this total time, and at most `_MAX_RUNS` times
 _MAX_RUNS = 5
+_TASKS_PER_PROCESS = 1000  # then a new process: solvers that compile code for each shape keep it in memory
 _MIN_RUNS = 3  # runs of each cold task, because some solvers are not deterministic
 
 
@@ -73,6 +74,7 @@ class Worker:
         self._wall_limit = _RUNS_PER_TASK * limit / _MIN_PROCESSOR_SHARE if wall_limit is None else wall_limit
         self._process: Any = None
         self._pipe: Connection | None = None
+        self._count = 0  # tasks of the process
 
     def run(self, task: RaceTask) -> RaceOutcome:
         """Return the outcome of a task, also if the solver times out or crashes.
@@ -135,14 +137,17 @@ class Worker:
         self.close()
 
     def _child(self) -> Connection:
-        if self._process is None or self._pipe is None or not self._process.is_alive():
+        is_used_up = self._count >= _TASKS_PER_PROCESS
+        if self._process is None or self._pipe is None or is_used_up or not self._process.is_alive():
             self.close()
+            self._count = 0
             context = multiprocessing.get_context("forkserver")
             context.set_forkserver_preload([__name__])  # so that a process starts within a fraction of a second
             self._pipe, theirs = context.Pipe()
             self._process = context.Process(target=_serve, args=(theirs, dict(os.environ)), daemon=True)
             self._process.start()
             theirs.close()
+        self._count += 1
         return self._pipe
 
     def _receive(self, pipe: Connection, seconds: float) -> Any:

@@ -568,3 +568,15 @@ def test_example_adapter_of_the_readme_works(tmp_path: Path, monkeypatch: pytest
         for case in ("opposed/force-inner-8", "ring/3-inner-4-turned", "opposed/capped"):
             done = worker.run(task("solver_of_the_page", case, pyramid=True))
             assert done.judgement.verdict is Verdict.CERTIFIED, case
+
+
+def test_a_process_runs_a_limited_number_of_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiled code of many shapes would fill the memory of a process."""
+    monkeypatch.setattr("graspforce.bench.worker._TASKS_PER_PROCESS", 2)
+    processes = []
+    with Worker(2.0) as worker:
+        for name in ("opposed/force", "ring/3-force", "ring/3-torque", "opposed/capped", "opposed/force"):
+            outcome = worker.run(RaceTask("structured", "default", "scaled", False, False, name))
+            assert outcome.judgement.is_correct
+            processes.append(worker._process.pid)
+    assert [processes.index(pid) for pid in processes] == [0, 0, 2, 2, 4]
