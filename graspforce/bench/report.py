@@ -150,9 +150,9 @@ def _legend() -> Iterator[str]:
         "*Claimed*: reported solved or infeasible. "
         "*Inexact*: a larger residual, from a claim that is true at the requested tolerance. *Wrong*: a false claim at this "
         f"tolerance. It is reported solved with a residual above, by settings: {wrong}; or at high settings with forces that "
-        f"miss more than {WRONG_LOAD_ERROR['high']:.0e} of the load; and it violates the solver's own rows by more than: "
-        f"{claim}, relative to their numbers, or exceeds the optimal cost by so much. Or it is reported infeasible although "
-        "feasible, and the ray of the solver does not exclude forces to the accepted residual. "
+        f"miss more than {WRONG_LOAD_ERROR['high']:.0e} of the load; and it also violates the solver's own rows by more than: "
+        f"{claim}, relative to their numbers. Also wrong are a cost that exceeds the optimum by more than the first values, and "
+        "a feasible problem that is reported infeasible, unless the solver's ray excludes forces to the accepted residual. "
         "*No answer*: the solver reports that it found none. *Timed out*: stopped at the limit. *Unsupported*: the solver does "
         f"not support such problems; counts as not correct. Pyramids have {FACETS} facets inside the exact cone, or are given "
         "by the case. *Scaled*: rows and variables in the problem's own units; *SI*: newtons and newton metres, not scaled."
@@ -193,7 +193,7 @@ def _times(group: OutcomeGroup, table: Sequence[SolverSummary]) -> Iterator[str]
     common, every = (len(feasible_cases(group, only_common)) for only_common in (True, False))
     yield f"**{_title(group)}**, {common} common cases of {every} feasible ones"
     yield ""
-    reported = {outcome.task.solver for outcome in group.outcomes if outcome.time_is_reported}
+    reported = group.reported_solvers
     measured = {row.solver: row.mean for row in table if row.solver not in reported}
     best = min(measured.values(), default=math.nan)
     reference = measured.get(_REFERENCE, math.nan)

@@ -149,7 +149,7 @@ def save_history(path: Path, conditions: Mapping[str, Any], outcomes: Sequence[R
     added = []
     for group in group_outcomes(outcomes):
         title = ", ".join(["pyramids" if group.pyramid else "exact cones", group.settings, group.units])
-        reported = {outcome.task.solver for outcome in group.outcomes if outcome.time_is_reported}
+        reported = group.reported_solvers
         for row in summarize_solvers(group, float(conditions["limit"])):
             added.append(
                 {

@@ -35,6 +35,11 @@ class OutcomeGroup:
         """Return the solvers of the group, in the order of the race."""
         return tuple(dict.fromkeys(outcome.task.solver for outcome in self.outcomes))
 
+    @property
+    def reported_solvers(self) -> frozenset[str]:
+        """Return the solvers whose times were reported and not measured here."""
+        return frozenset(outcome.task.solver for outcome in self.outcomes if outcome.time_is_reported)
+
 
 @dataclass(frozen=True, slots=True)
 class SolverSummary:
@@ -121,7 +126,7 @@ def common_cases(group: OutcomeGroup) -> frozenset[str]:
     Args:
         group: the outcomes.
     """
-    reported = {outcome.task.solver for outcome in group.outcomes if outcome.time_is_reported}
+    reported = group.reported_solvers
     here = [solver for solver in group.solvers if solver not in reported] or group.solvers
     supported: dict[str, set[str]] = {solver: set() for solver in here}
     for outcome in group.outcomes:
@@ -155,8 +160,8 @@ def performance_profile(group: OutcomeGroup, common: bool = True) -> dict[str, l
     """Return for each solver the sorted ratios of its time to the shortest time, over feasible cases.
 
     The profile at τ is the share of ratios ≤ τ (Dolan and Moré 2002). Times that were not measured here do not count as the
-    shortest one. Without a correct solution the ratio is infinite, also
-    for cases that the solver does not support or did not attempt.
+    shortest one. Without a correct solution the ratio is infinite, also for cases that the solver does not support or did not
+    attempt.
 
     Args:
         group: the outcomes.
@@ -167,7 +172,7 @@ def performance_profile(group: OutcomeGroup, common: bool = True) -> dict[str, l
     for outcome in group.outcomes:
         if outcome.task.case in cases and outcome.seconds is not None:
             times[outcome.task.case][outcome.task.solver] = outcome.seconds
-    reported = {outcome.task.solver for outcome in group.outcomes if outcome.time_is_reported}
+    reported = group.reported_solvers
     measured = {case: [time for solver, time in own.items() if solver not in reported] for case, own in times.items()}
     best = {case: min(measured[case] or own.values(), default=math.inf) for case, own in times.items()}
     return {

@@ -179,7 +179,7 @@ def race_tables(outcomes: Sequence[RaceOutcome], limit: float) -> Iterator[Rende
     """
     for group in group_outcomes(outcomes):
         table = sorted(summarize_solvers(group, limit), key=lambda row: row.mean)
-        reported = {outcome.task.solver for outcome in group.outcomes if outcome.time_is_reported}
+        reported = group.reported_solvers
         right = [sum(row.counts[verdict] for verdict in CORRECT_VERDICTS) for row in table]
         columns = [
             ("solver", [row.solver for row in table]),

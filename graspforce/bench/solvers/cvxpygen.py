@@ -15,11 +15,8 @@ import contextlib
 import ctypes
 import hashlib
 import io
-import shutil
 import subprocess
-import tempfile
 import warnings
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +26,7 @@ from cvxpygen import cpg
 from scipy.sparse import csgraph
 
 from graspforce.bench.adapter import TOLERANCE, BoundSolver, SolverResult, SolverStatus, make_result
+from graspforce.bench.generated_code import as_pointer, code_folder, find_compiler
 from graspforce.core.errors import UnsupportedProblem
 from graspforce.force.cone_program import ConicProgram
 
@@ -37,7 +35,7 @@ EXACT_CONES = True
 WARM_START = False
 
 _MAX_VARIABLES, _MAX_ROWS = 100, 300  # the generator maps parameters to rows by dense matrices
-_COMPILER = shutil.which("cc")
+_COMPILER = find_compiler("CVXPYgen")
 _OPTIONS = ("-O3", "-w", "-fPIC")
 _INCLUDE = ("include", "external/amd/include", "external/ldl/include", "external/SuiteSparse_config")
 _STATUS = {0: SolverStatus.SOLVED, 10: SolverStatus.SOLVED, 1: SolverStatus.INFEASIBLE, 11: SolverStatus.INFEASIBLE}
@@ -56,9 +54,6 @@ int solve_numbers(const double* numbers, double tolerance, double* x, double* y,
    return CPG_Result.info->status;
 }}
 """
-
-if _COMPILER is None:
-    raise ImportError("CVXPYgen needs a C compiler, cc")
 
 
 def bind(program: ConicProgram, settings: str) -> BoundSolver:
@@ -81,7 +76,7 @@ def bind(program: ConicProgram, settings: str) -> BoundSolver:
     numbers = np.concatenate([*(matrices[name][pattern] for name, pattern in patterns.items()), *vectors])
     x, y, z = (np.zeros(len(values)) for values in (program.q, program.b, program.d))
     iterations, tolerance = ctypes.c_int(), TOLERANCE[settings] or 0.0
-    arguments = [_pointer(numbers), ctypes.c_double(tolerance), *map(_pointer, (x, y, z)), ctypes.byref(iterations)]
+    arguments = [as_pointer(numbers), ctypes.c_double(tolerance), *map(as_pointer, (x, y, z)), ctypes.byref(iterations)]
 
     def run(start: Any) -> Any:
         return solve(*arguments), numbers
@@ -90,10 +85,6 @@ def bind(program: ConicProgram, settings: str) -> BoundSolver:
         return make_result(program, _STATUS.get(output[0], SolverStatus.NO_ANSWER), x, -y, z, iterations.value)
 
     return BoundSolver(run, read)
-
-
-def _pointer(values: np.ndarray) -> Any:
-    return values.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
 
 
 def _matrices(program: ConicProgram) -> tuple[dict[str, np.ndarray], dict[str, tuple[np.ndarray, ...]]]:
@@ -115,7 +106,7 @@ def _compiled_function(program: ConicProgram, patterns: dict[str, tuple[np.ndarr
     """Return the C function for the pattern of a program."""
     sizes = (*(len(part) for part in (program.q, program.b, program.d)), *program.cones)
     parts = [name.encode() + part.tobytes() for name, pattern in patterns.items() for part in pattern]
-    folder = _folder() / hashlib.sha256(b"".join(parts) + repr(sizes).encode()).hexdigest()[:16]
+    folder = code_folder("cvxpygen") / hashlib.sha256(b"".join(parts) + repr(sizes).encode()).hexdigest()[:16]
     library = folder / "solver.so"
     if not library.exists():
         problem = _cvxpy_problem(program, patterns)
@@ -128,7 +119,7 @@ def _compiled_function(program: ConicProgram, patterns: dict[str, tuple[np.ndarr
         include = [f"-I{code / 'include'}", *(f"-I{code / 'solver_code' / name}" for name in _INCLUDE)]
         objects = map(str, _solver_objects(code / "solver_code"))
         files = [*sources, *objects, "-lm"]
-        subprocess.run([str(_COMPILER), *_OPTIONS, "-shared", *include, "-o", str(library), *files], check=True)
+        subprocess.run([_COMPILER, *_OPTIONS, "-shared", *include, "-o", str(library), *files], check=True)
     return ctypes.CDLL(str(library)).solve_numbers
 
 
@@ -170,22 +161,11 @@ def _loop(size: int, statement: str, index: str) -> str:
 
 def _solver_objects(source: Path) -> list[Path]:
     """Return the object files of ECOS, which are the same for all patterns."""
-    folder = _folder() / "objects"
+    folder = code_folder("cvxpygen") / "objects"
     if not folder.exists():
         folder.mkdir()
         parts = [path for name in ("src", "external/amd/src", "external/ldl/src") for path in (source / name).glob("*.c")]
         files = [str(path) for path in parts if not path.name.startswith("runecos")]  # programs with a main function
         include = [f"-I{source / name}" for name in _INCLUDE]
-        subprocess.run([str(_COMPILER), *_OPTIONS, "-c", *include, *files], cwd=folder, check=True)
+        subprocess.run([_COMPILER, *_OPTIONS, "-c", *include, *files], cwd=folder, check=True)
     return sorted(folder.glob("*.o"))
-
-
-@cache
-def _folder() -> Path:
-    """Return a folder for the code of this process, deleted at its end."""
-    folder = tempfile.TemporaryDirectory(prefix="graspforce-cvxpygen-")
-    _KEPT.append(folder)
-    return Path(folder.name)
-
-
-_KEPT: list[Any] = []

@@ -11,11 +11,7 @@ import contextlib
 import ctypes
 import hashlib
 import io
-import shutil
 import subprocess
-import tempfile
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +19,7 @@ import qocogen
 from scipy import sparse
 
 from graspforce.bench.adapter import TOLERANCE, BoundSolver, SolverResult, SolverStatus, make_result
+from graspforce.bench.generated_code import as_pointer, code_folder, find_compiler
 from graspforce.core.errors import UnsupportedProblem
 from graspforce.force.cone_program import ConicProgram
 
@@ -31,7 +28,7 @@ EXACT_CONES = True
 WARM_START = False
 
 _MAX_VARIABLES, _MAX_ROWS = 40, 100  # larger code takes more than ten seconds to compile
-_COMPILER = shutil.which("cc")
+_COMPILER = find_compiler("QOCOGEN")
 _SOURCES = ("qoco_custom.c", "cone.c", "utils.c", "ldl.c", "kkt.c", "entry.c")
 _STATUS = {1: SolverStatus.SOLVED, 2: SolverStatus.SOLVED}  # solved, and solved to the looser tolerance
 _ENTRY = """
@@ -52,9 +49,6 @@ int solve_numbers(double* P, double* c, double* A, double* b, double* G, double*
    return work.sol.status;
 }
 """
-
-if _COMPILER is None:
-    raise ImportError("QOCOGEN needs a C compiler, cc")
 
 
 def bind(program: ConicProgram, settings: str) -> BoundSolver:
@@ -77,7 +71,7 @@ def bind(program: ConicProgram, settings: str) -> BoundSolver:
     numbers = [np.ascontiguousarray(values, dtype=np.float64) for values in (P.data, program.q, A.data, program.b, G.data, h)]
     x, y, z = (np.zeros(size) for size in (len(program.q), len(program.b), len(h)))
     iterations, tolerance = ctypes.c_int(), TOLERANCE[settings] or 0.0
-    arguments = [*map(_pointer, numbers), ctypes.c_double(tolerance), *map(_pointer, (x, y, z)), ctypes.byref(iterations)]
+    arguments = [*map(as_pointer, numbers), ctypes.c_double(tolerance), *map(as_pointer, (x, y, z)), ctypes.byref(iterations)]
 
     def run(start: Any) -> Any:
         return solve(*arguments), numbers
@@ -89,16 +83,12 @@ def bind(program: ConicProgram, settings: str) -> BoundSolver:
     return BoundSolver(run, read)
 
 
-def _pointer(values: np.ndarray) -> Any:
-    return values.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
-
-
 def _compiled_function(program: ConicProgram, P: Any, A: Any, G: Any, h: Any) -> Any:
     """Return the C function for the pattern of a program."""
     patterns = [part for matrix in (P, A, G) for part in (matrix.indptr, matrix.indices)]
     sizes = (len(program.q), len(program.b), len(program.d), *program.cones)
     name = hashlib.sha256(b"".join(part.tobytes() for part in patterns) + repr(sizes).encode()).hexdigest()[:16]
-    folder = _folder() / name
+    folder = code_folder("qocogen") / name
     library = folder / "solver.so"
     if not library.exists():
         cones = np.array(program.cones, dtype=np.int32)
@@ -108,16 +98,5 @@ def _compiled_function(program: ConicProgram, P: Any, A: Any, G: Any, h: Any) ->
             qocogen.generate_solver(*size, *parts, len(program.d), len(cones), cones, str(folder.parent), name)
         (folder / "entry.c").write_text(_ENTRY, encoding="utf-8")
         options = ["-O3", "-march=native", "-w", "-shared", "-fPIC", "-DDISABLE_PRINTING"]
-        subprocess.run([str(_COMPILER), *options, "-o", str(library), *_SOURCES, "-lm"], cwd=folder, check=True)
+        subprocess.run([_COMPILER, *options, "-o", str(library), *_SOURCES, "-lm"], cwd=folder, check=True)
     return ctypes.CDLL(str(library)).solve_numbers
-
-
-@cache
-def _folder() -> Path:
-    """Return a folder for the code of this process, deleted at its end."""
-    folder = tempfile.TemporaryDirectory(prefix="graspforce-qocogen-")
-    _KEPT.append(folder)
-    return Path(folder.name)
-
-
-_KEPT: list[Any] = []
