@@ -7,6 +7,7 @@ import pytest
 from graspforce import problems
 from graspforce.bench.adapter import SolverStatus
 from graspforce.bench.case_program import case_program
+from graspforce.bench.generated_code import code_folder
 from graspforce.bench.judge import Verdict, judge
 from graspforce.bench.registry import BY_NAME_ONLY, SOLVERS, installed_solvers
 from graspforce.core.errors import UnsupportedProblem
@@ -21,7 +22,7 @@ def test_compiled_code_solves_programs_with_the_same_pattern() -> None:
     for name in ("ring/3-force", "ring/3-torque"):
         case = problems.load(name)
         bound = adapter.bind(case_program(case.problem), "default")
-        folders.append(sorted(adapter._folder().iterdir()))
+        folders.append(sorted(code_folder("qocogen").iterdir()))
         result = bound.read(bound.run(None))
         assert result.status is SolverStatus.SOLVED
         assert judge(case.problem, True, result, "default", case.expected).verdict is Verdict.CERTIFIED
