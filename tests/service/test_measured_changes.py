@@ -26,7 +26,7 @@ from graspforce.service.wire.command_records import CommandRecord
 from graspforce.service.wire.protocol import JSON, MSGPACK
 
 FINGER = GRASP.fingers[1]
-RATE = 20.0  # N/s: 0.04 N a period, at a lever of at most 0.12 m
+RATE = 10.0  # N/s: 0.02 N a period, at a lever of at most 0.12 m; twice that, and the noise of 0.003 N·m, stay below 0.01 N·m
 RELEASE = ContactChange(release=[FINGER], force_rate=RATE)
 JOIN = ContactChange(add={FINGER: GRASP.contacts.contacts[1]}, force_rate=RATE)
 SENSORS = SensorModel()
