@@ -24,7 +24,6 @@ from graspforce.bench.registry import installed_solvers, load_adapter, version
 from graspforce.core.errors import InvalidInput
 
 UNITS = ("scaled", "si")
-MAX_PYRAMID_CONTACTS = 300  # dense programs with 8 facets per contact take minutes to build above this
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +116,7 @@ def race_tasks(race: RacePlan) -> Iterator[RaceTask]:
     """
     names = race.cases or select_cases(race.collections, race.max_cases)
     cases = [(name, problems.load(name).problem) for name in names]
-    facts = [(name, len(problem.contacts), problem.cone.type == "pyramid") for name, problem in cases]  # name, size, is pyramid
+    facts = [(name, problem.cone.type == "pyramid") for name, problem in cases]  # name, is pyramid
     for solver in race.solvers:
         module = load_adapter(solver)
         for settings in race.settings:
@@ -125,9 +124,8 @@ def race_tasks(race: RacePlan) -> Iterator[RaceTask]:
                 continue
             for units in race.units:
                 for pyramid in (False, True):
-                    for name, contacts, is_pyramid in facts:
-                        too_large = pyramid and contacts > MAX_PYRAMID_CONTACTS
-                        if too_large or (is_pyramid and not pyramid) or not (module.EXACT_CONES or pyramid):
+                    for name, is_pyramid in facts:
+                        if (is_pyramid and not pyramid) or not (module.EXACT_CONES or pyramid):
                             continue
                         yield RaceTask(solver, settings, units, pyramid, False, name)
                         if module.WARM_START and name.partition("/")[0] in SEQUENCE_COLLECTIONS:

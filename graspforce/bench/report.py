@@ -13,7 +13,6 @@ from graspforce.bench.conditions import clock_sentence
 from graspforce.bench.judge import ACCEPTED_RESIDUAL, CORRECT_VERDICTS, TRUE_CLAIM, WRONG_LOAD_ERROR, WRONG_RESIDUAL, Verdict
 from graspforce.bench.outcome import RaceOutcome
 from graspforce.bench.plots import draw_figures
-from graspforce.bench.race import MAX_PYRAMID_CONTACTS
 from graspforce.bench.statistics import (
     SHIFT,
     OutcomeGroup,
@@ -361,8 +360,7 @@ _LIMITATIONS = (
     "for solvers that compute in single precision, with programs rounded to it. Solvers without tolerances (structured, "
     "quadprog, qpoases, qrqp) behave the same in all settings. The structured kernel reads the problem itself, in its own "
     "units.",
-    f"Pyramids of more than {MAX_PYRAMID_CONTACTS} contacts are omitted: their dense programs take minutes to build. Large "
-    "collections are sampled evenly; `--max-cases 0` runs all cases.",
+    "Large collections are sampled evenly; `--max-cases 0` runs all cases.",
     "hpipm, ipopt, qpoases and qrqp have the version of CasADi, which contains them, and slsqp that of SciPy.",
     "A load that is infeasible by less than the accepted residual counts as held: both answers are correct to that accuracy.",
     "With some options, ProxQP does not terminate on infeasible problems. With its default options, and with tolerances of "
