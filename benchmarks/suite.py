@@ -29,6 +29,7 @@ from benchmarks import report_page
 from graspforce import problems
 from graspforce.bench import race
 from graspforce.bench.blocks import order_in_blocks, select_slice
+from graspforce.bench.conditions import race_conditions
 from graspforce.bench.judge import Verdict, worst_judgement
 from graspforce.bench.local_workers import run_tasks_here
 from graspforce.bench.merge import merge_races, pack
@@ -93,7 +94,7 @@ def run(options: argparse.Namespace) -> None:
         return run_tasks_here(missing, LIMIT, options.workers, lambda: time.monotonic() > end)
 
     wanted = [task for task in tasks if task not in done]
-    _, outcomes = race.run_tasks(wanted, race.race_conditions(plans[0]), start, options.save, show, options.workers)
+    _, outcomes = race.run_tasks(wanted, race_conditions(plans[0].solvers, LIMIT), start, options.save, show, options.workers)
     print(f"{len(outcomes)} of {len(wanted)} tasks done: {options.save}")
 
 

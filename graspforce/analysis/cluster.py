@@ -39,19 +39,25 @@ def run_on_cluster(cluster: Any, function: Callable[..., Any], arguments: Iterab
     remaining = iter(arguments)
     with client, client.as_current():
         client.wait_for_workers(1)
-        count = _TASKS_PER_THREAD * sum(client.nthreads().values())
-        first = [
-            client.submit(_call_with_one_thread, function, *each, pure=False) for each in itertools.islice(remaining, count)
-        ]
-        pending = distributed.as_completed(first)
+        running, pending = 0, distributed.as_completed()
+
+        def submit() -> int:
+            """Submit tasks until each thread has its share, and return their number. Workers may have joined meanwhile."""
+            count = _TASKS_PER_THREAD * sum(client.nthreads().values()) - running
+            batch = list(itertools.islice(remaining, max(count, 0 if running else 1)))  # one, even if all workers are gone
+            for each in batch:
+                pending.add(client.submit(_call_with_one_thread, function, *each, pure=False))
+            return len(batch)
+
+        running = submit()
         for future in pending:
             try:
                 result = future.result()
             except distributed.scheduler.KilledWorker as error:
                 raise BackendError(f"a task ended several workers: {error}") from None
             future.release()
-            for each in itertools.islice(remaining, 1):
-                pending.add(client.submit(_call_with_one_thread, function, *each, pure=False))
+            running -= 1
+            running += submit()
             yield result
 
 

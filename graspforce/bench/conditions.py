@@ -1,15 +1,37 @@
-"""Facts about the machine that affect times: processor, frequency governor, clock rates and throttling."""
+"""Conditions of a race: versions, problem data and the machine, with its clock rates and throttling."""
 
 from __future__ import annotations
 
+import os
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from importlib import metadata
 from pathlib import Path
 from typing import Any
+
+import graspforce
+from graspforce import problems
+from graspforce.bench.registry import version
 
 _DEVICES = Path("/sys/devices/system/cpu")
 _CPU_INFO = Path("/proc/cpuinfo")
 _THROTTLED_SHARE = 0.9  # a clock rate below this share of the earlier one counts as throttled
+
+
+def race_conditions(solvers: Sequence[str], limit: float) -> dict[str, Any]:
+    """Return the conditions of a race that must not change when it is resumed: machine, versions, limit and problem data.
+
+    Args:
+        solvers: names of its solvers.
+        limit: processor time of one solve, s.
+    """
+    packages = {name: metadata.version(name) for name in ("numpy", "scipy")}
+    versions = {"graspforce": graspforce.__version__, **packages, **{solver: version(solver) for solver in solvers}}
+    data = {"version": problems.DATA_VERSION, "sha256": problems.data_hash()}
+    return {"machine": processor(), "cores": os.cpu_count(), "python": platform.python_version(), "limit": limit} | {
+        "versions": versions,
+        "problems": data,
+    }
 
 
 def processor() -> str:

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import os
-import platform
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import graspforce
 from graspforce import problems
 from graspforce.bench.adapter import TOLERANCE
 from graspforce.bench.blocks import order_in_blocks
 from graspforce.bench.case_sequences import SEQUENCE_COLLECTIONS, case_groups
-from graspforce.bench.cluster import run_tasks_on_cluster
-from graspforce.bench.conditions import clock_state, processor
+from graspforce.bench.cluster import conditions_on_cluster, run_tasks_on_cluster
+from graspforce.bench.conditions import clock_state, race_conditions
 from graspforce.bench.local_workers import run_tasks_here
 from graspforce.bench.outcome import RaceOutcome, RaceTask, append, append_clock, drop_partial_line, load, write_header
-from graspforce.bench.registry import installed_solvers, load_adapter, version
+from graspforce.bench.registry import installed_solvers, load_adapter
 from graspforce.core.errors import InvalidInput
 
 UNITS = ("scaled", "si")
@@ -150,7 +146,7 @@ def run(
 
     Raises:
         InvalidInput: the file was written under different conditions.
-        BackendError: the cluster cannot be reached, or its workers cannot start processes.
+        BackendError: the cluster cannot be reached, its workers cannot start processes, or their machines or versions differ.
     """
     if workers < 1:
         raise InvalidInput("workers", workers, "at least 1")
@@ -158,12 +154,14 @@ def run(
     def start(tasks: Sequence[RaceTask]) -> Iterator[RaceOutcome]:
         if cluster is None:
             return run_tasks_here(tasks, race.limit, workers)
-        return run_tasks_on_cluster(tasks, race.limit, cluster)
+        return run_tasks_on_cluster(tasks, race.limit, cluster, facts)
 
+    here = cluster is None
+    facts = race_conditions(race.solvers, race.limit) if here else conditions_on_cluster(race.solvers, race.limit, cluster)
     tasks = list(race_tasks(race))
     if workers > 1 and cluster is None:
         tasks = order_in_blocks(tasks)
-    return run_tasks(tasks, race_conditions(race), start, save, progress, workers)
+    return run_tasks(tasks, facts, start, save, progress, workers)
 
 
 def run_tasks(
@@ -224,18 +222,3 @@ def _earlier_outcomes(save: Path, facts: dict[str, Any]) -> tuple[dict[RaceTask,
         raise InvalidInput("save", str(save), allowed)
     drop_partial_line(save)
     return {outcome.task: outcome for outcome in outcomes}, before.get("clocks", [])
-
-
-def race_conditions(race: RacePlan) -> dict[str, Any]:
-    """Return the conditions of a race that must not change when it is resumed: machine, versions, limit and problem data.
-
-    Args:
-        race: the plan.
-    """
-    packages = {name: metadata.version(name) for name in ("numpy", "scipy")}
-    versions = {"graspforce": graspforce.__version__, **packages, **{solver: version(solver) for solver in race.solvers}}
-    data = {"version": problems.DATA_VERSION, "sha256": problems.data_hash()}
-    return {"machine": processor(), "cores": os.cpu_count(), "python": platform.python_version(), "limit": race.limit} | {
-        "versions": versions,
-        "problems": data,
-    }

@@ -118,16 +118,14 @@ def _outcomes(
         answers: files with answers of solvers that do not run here.
         run: function that runs the race; None to judge the answers only.
     """
-    import dataclasses
-
     from graspforce.bench.answers import check_unique, judge_answers, load_answers
-    from graspforce.bench.race import race_conditions
+    from graspforce.bench.conditions import race_conditions
 
     given = {path.stem: load_answers(path) for path in answers}
     for rows in given.values():
         check_unique(rows)
     reported = [outcome for solver, rows in given.items() for outcome in judge_answers(solver, rows)]
-    facts, outcomes = run() if run is not None else (race_conditions(dataclasses.replace(race_plan, solvers=())), [])
+    facts, outcomes = run() if run is not None else (race_conditions((), race_plan.limit), [])
     versions = {**facts["versions"], **{path.stem: "(answers only, times reported)" for path in answers}}
     return {**facts, "versions": versions}, [*outcomes, *reported]
 
