@@ -267,6 +267,17 @@ def test_batch_gives_the_proven_optima(kind: str, reader: ModuleType) -> None:
             assert value == pytest.approx(batch.objectives[i], abs=1e-6 * (abs(batch.objectives[i]) + case.scale))
 
 
+@pytest.mark.parametrize("kind", ["force", "torque", "pyramid", "limits"])
+def test_batch_has_a_ray_for_each_infeasible_member(kind: str, reader: ModuleType) -> None:
+    batch = reader.load_batch(kind)
+    assert list(batch.rays) == np.flatnonzero(np.isnan(batch.objectives)).tolist()
+    for i, (y, z, u) in batch.rays.items():
+        member = dataclasses.replace(batch.program, b=batch.b[i], x=None, y=y, z=z, u=u)
+        # numbers of the program have nine digits; a ray is large where the load hardly exceeds the limits
+        assert member.residual() <= 1e-8 * max(1.0, np.abs(np.concatenate([y, z, u])).max()) + 1e-9
+        assert member.b @ y - member.d @ z - member.r @ u == pytest.approx(1.0, abs=1e-9)  # of numbers of order 1
+
+
 def test_numbers_have_few_digits() -> None:
     """At least nine; more only where the answer would otherwise leave its equations."""
     form = standard_form(problems.load("ring/3-force"))

@@ -1,14 +1,17 @@
-"""The batches of the library in the data package: one program per batch, and for each member its right side and its optimum."""
+"""The batches of the library in the data package: one program per batch, and for each member its right side and its answer."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from graspforce.bench.case_program import case_program
+from graspforce.bench.export.standard_form import proof_ray
 from graspforce.problems.batches import Batch, load_batch
+from graspforce.problems.case import ExpectedInfeasibility
 from graspforce.problems.generators.batch import KINDS, UNITS
 
 
@@ -26,8 +29,8 @@ def write_batches(folder: Path) -> None:
 def batch_arrays(batch: Batch) -> dict[str, Any]:
     """Return the arrays of a batch.
 
-    The members have the program of the first one, with b = b₀ + M · load. ``proofs`` has the rows of the infeasible members:
-    multipliers of equilibrium about O, of least and largest normal forces, and of least and largest torques, in SI units.
+    The members have the program of the first one, with b = b₀ + M · load. ``rays`` has a row (y, z, u) for each infeasible
+    member, as in `standard_form`.
 
     Args:
         batch: the batch.
@@ -42,4 +45,9 @@ def batch_arrays(batch: Batch) -> dict[str, Any]:
     constant = program.b - moves @ loads[0]
     infeasible = np.flatnonzero(np.isnan(batch.objectives)).astype(np.int32)
     values = {"loads": loads, "moves": moves, "constant": constant, "objectives": batch.objectives}
-    return {**values, "infeasible": infeasible, "proofs": batch.proofs[infeasible]}
+    rays = np.zeros((len(infeasible), len(program.b) + len(program.d) + len(program.r)))
+    for row, i in enumerate(infeasible.tolist()):
+        member, expected = replace(program, b=constant + moves @ loads[i]), batch.case(i).expected
+        assert isinstance(expected, ExpectedInfeasibility)  # its objective is NaN
+        rays[row] = np.concatenate(proof_ray(member, expected.proof))
+    return {**values, "infeasible": infeasible, "rays": rays}

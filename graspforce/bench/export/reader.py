@@ -120,18 +120,22 @@ class Batch:
         program: the first program, of the case ``batch/<kind>-000``.
         b: (B, e) right sides of the equations.
         objectives: (B,) proven costs of the forces; NaN for infeasible programs.
+        rays: parts y, z and u of the ray of each infeasible program, by its index.
     """
 
     program: Program
     b: np.ndarray
     objectives: np.ndarray
+    rays: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 
 def load_batch(kind: str) -> Batch:
     """Return ten thousand programs: "force", "torque", "pyramid" or "limits"."""
     with np.load(FOLDER / "batches" / f"{kind}.npz") as stored:
         b = stored["constant"] + stored["loads"] @ stored["moves"].T
-        return Batch(load(f"batch/{kind}-000"), b, stored["objectives"])
+        first, infeasible = load(f"batch/{kind}-000"), stored["infeasible"].tolist()
+        y, z, u = np.split(stored["rays"], np.cumsum([len(first.b), len(first.d)]), axis=1)
+        return Batch(first, b, stored["objectives"], dict(zip(infeasible, zip(y, z, u, strict=True), strict=True)))
 
 
 def check_hashes() -> list[str]:

@@ -97,7 +97,7 @@ def standard_form(case: Case) -> StandardForm:
         result = solve_sparse(sparse.csc_matrix(sparse.triu(P)), program.q, rows, right, cones, SolverSettings())
         x, y, z, u = result.x, -result.z[:e], np.maximum(result.z[e : e + i], 0.0), result.z[e + i :]
     else:
-        y, z, u = _ray(program, case.expected.proof)
+        y, z, u = proof_ray(program, case.expected.proof)
     scale, offset = _cost_units(program)
     form = StandardForm(
         case.name,
@@ -175,10 +175,14 @@ def _cost_factor(program: ConicProgram) -> Array:
     return np.asarray(np.vstack([np.zeros((0, size)), *rows]) / np.sqrt(program.cost_unit))
 
 
-def _ray(program: ConicProgram, proof: Multipliers) -> tuple[Array, Array, Array]:
-    """Return the ray of a proof, with bᵀ y − dᵀ z = 1.
+def proof_ray(program: ConicProgram, proof: Multipliers) -> tuple[Array, Array, Array]:
+    """Return the parts y, z and u of the ray of a proof, with bᵀ y − dᵀ z = 1.
 
     The proof gives the multipliers of equilibrium and limits. Those of the cones follow by nonnegative least squares.
+
+    Args:
+        program: the program.
+        proof: multipliers that prove that the problem of the program is infeasible, in SI units.
     """
     proof = proof.about(program.problem.contacts.centroid)
     pairs = {
