@@ -6,7 +6,6 @@ import json
 import signal
 import subprocess
 import sys
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -100,6 +99,15 @@ def test_changes_of_certificates_are_one_record(tmp_path, capsys):
         assert json.loads(capsys.readouterr().out), command
 
 
+@pytest.fixture
+def interruptible():
+    """Let child processes react to Ctrl-C also where a shell's background job ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
 def test_addresses_of_a_server_and_a_view_are_one_record(tmp_path):
     """Both run until a signal; the record is complete as soon as they serve."""
     grasp = three_finger_grasp()
@@ -107,8 +115,7 @@ def test_addresses_of_a_server_and_a_view_are_one_record(tmp_path):
     simulate(Plant(build_scene(grasp, gravity_H=PALM_UP)), ObjectController(grasp), motion, 0.02).save(tmp_path / "run.npz")
     for command, field in ((["serve", "--listen", ANY_LOCAL_PORT], "addresses"), (["view", str(tmp_path / "run.npz")], "url")):
         words = [sys.executable, "-u", "-m", "graspforce", *command, "--json"]
-        usual = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # a shell's background jobs ignore Ctrl-C
-        with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, preexec_fn=usual) as process:
+        with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
             try:
                 text = ""
                 while not text.rstrip().endswith("}"):
