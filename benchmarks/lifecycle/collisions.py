@@ -214,7 +214,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         parser: the parser.
     """
     parser.add_argument("--moves", type=int, default=500, help="moves of each hand (default: 500)")
-    parser.add_argument("--free", type=int, default=5, help="moves of each hand that plan_free plans, too (default: 5)")
+    parser.add_argument("--free", type=int, default=12, help="moves of each hand that plan_free plans, too (default: 12)")
     parser.add_argument("--refusals", type=int, default=20, help="refusals of each hand to check (default: 20)")
     parser.add_argument("--samples", type=int, default=60, help="edges that the search for a refused move tries (default: 60)")
 
