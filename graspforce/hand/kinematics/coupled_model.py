@@ -160,11 +160,11 @@ class CoupledModel:
         Args:
             fingers: the fingers.
         """
-        links = []
+        links, anywhere = [], np.zeros(self._model.nq)  # Pinocchio reads the joint's part without a check of the size
         for i in range(1, self._model.njoints):
             joint, place, inertia = self._model.joints[i], self._model.jointPlacements[i], self._model.inertias[i]
             data = joint.createData()
-            joint.calc(data, np.zeros(1))
+            joint.calc(data, anywhere)
             is_prismatic = not np.any(data.S[3:])  # S: unit twist of the joint, linear first
             links.append(
                 Link(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -85,3 +86,16 @@ def test_prismatic_joint_translates_its_link(tmp_path):
     np.testing.assert_allclose(p, hand.model.joint_origins(q)[0], atol=TOL)
     np.testing.assert_allclose(R, hand.tip_pose(q, "jaw")[1], atol=TOL)
     np.testing.assert_allclose(mass_matrix(tree, q), hand.mass_matrix(q), atol=TOL)
+
+
+def test_joints_read_a_configuration_of_all_joints(monkeypatch):
+    """Pinocchio does not check the size: a shorter array is memory of something else, which can end the process."""
+    hand, sizes, usual = Hand.load("four_finger"), set(), pin.JointModel.calc
+
+    def calc(joint, data, q):
+        sizes.add(len(q))
+        usual(joint, data, q)
+
+    monkeypatch.setattr(pin.JointModel, "calc", calc)
+    hand.tree()
+    assert sizes == {len(hand.full_joints)}
