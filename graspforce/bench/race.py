@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from graspforce.bench.registry import installed_solvers, load_adapter
 from graspforce.core.errors import InvalidInput
 
 UNITS = ("scaled", "si")
+SMOKE_PYRAMID_CONTACTS = 100  # some solvers take minutes to read larger pyramids
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +36,7 @@ class RacePlan:
         max_cases: maximum number of cases per collection, evenly spaced, sequences kept whole; 0 for all.
         limit: processor time of one solve, s.
         cases: names of the cases instead of those of the collections; empty for the collections.
+        pyramid_contacts: largest number of contacts of pyramids that replace exact cones; 0 for no bound.
     """
 
     solvers: tuple[str, ...]
@@ -43,6 +46,7 @@ class RacePlan:
     max_cases: int = 40
     limit: float = 2.0
     cases: tuple[str, ...] = ()
+    pyramid_contacts: int = 0
 
 
 def make_race_plan(
@@ -112,7 +116,8 @@ def race_tasks(race: RacePlan) -> Iterator[RaceTask]:
     """
     names = race.cases or select_cases(race.collections, race.max_cases)
     cases = [(name, problems.load(name).problem) for name in names]
-    facts = [(name, problem.cone.type == "pyramid") for name, problem in cases]  # name, is pyramid
+    facts = [(name, len(problem.contacts), problem.cone.type == "pyramid") for name, problem in cases]  # name, size, is pyramid
+    bound = race.pyramid_contacts or math.inf
     for solver in race.solvers:
         module = load_adapter(solver)
         for settings in race.settings:
@@ -120,8 +125,9 @@ def race_tasks(race: RacePlan) -> Iterator[RaceTask]:
                 continue
             for units in race.units:
                 for pyramid in (False, True):
-                    for name, is_pyramid in facts:
-                        if (is_pyramid and not pyramid) or not (module.EXACT_CONES or pyramid):
+                    for name, contacts, is_pyramid in facts:
+                        too_large = pyramid and contacts > bound
+                        if too_large or (is_pyramid and not pyramid) or not (module.EXACT_CONES or pyramid):
                             continue
                         yield RaceTask(solver, settings, units, pyramid, False, name)
                         if module.WARM_START and name.partition("/")[0] in SEQUENCE_COLLECTIONS:

@@ -360,7 +360,8 @@ _LIMITATIONS = (
     "for solvers that compute in single precision, with programs rounded to it. Solvers without tolerances (structured, "
     "quadprog, qpoases, qrqp) behave the same in all settings. The structured kernel reads the problem itself, in its own "
     "units.",
-    "Large collections are sampled evenly; `--max-cases 0` runs all cases.",
+    "Large collections are sampled evenly; `--max-cases 0` runs all cases. `--smoke` leaves out pyramids of more than 100 "
+    "contacts, which some solvers take minutes to read.",
     "hpipm, ipopt, qpoases and qrqp have the version of CasADi, which contains them, and slsqp that of SciPy.",
     "A load that is infeasible by less than the accepted residual counts as held: both answers are correct to that accuracy.",
     "With some options, ProxQP does not terminate on infeasible problems. With its default options, and with tolerances of "

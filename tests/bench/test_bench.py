@@ -372,6 +372,10 @@ def test_tasks_cover_what_each_solver_supports() -> None:
     scaling = [t for t in wanted if t.case in sizes]
     for solver, pyramid in (("structured", False), ("structured", True), ("daqp", True)):
         assert max(sizes[t.case] for t in scaling if t.solver == solver and t.pyramid is pyramid) == max(sizes.values())
+    bounded = race.make_race_plan(["structured"], collections=["scaling"], max_cases=0)
+    kept = list(race.race_tasks(dataclasses.replace(bounded, pyramid_contacts=100)))
+    assert max(sizes[t.case] for t in kept if t.pyramid) == 100
+    assert max(sizes[t.case] for t in kept if not t.pyramid) == max(sizes.values())
     assert all(t.pyramid for t in wanted if t.solver == "daqp" or t.case.startswith("pyramid/"))
     warm = [t for t in wanted if t.warm]
     assert {t.case for t in warm} == set(problems.names("trajectory"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -78,6 +79,7 @@ def bench(
     choose_problems(folder)
     cases = (*(case or ()), *(problems.smoke_names() if smoke else ()))
     race_plan = race.make_race_plan(solver or (), settings or (), units or (), collection or (), max_cases, limit, cases)
+    race_plan = dataclasses.replace(race_plan, pyramid_contacts=race.SMOKE_PYRAMID_CONTACTS if smoke else 0)
     before = None if compare is None else load(compare)[1]
     run = (lambda: _race(race_plan, save, cluster, workers)) if solver or not answers else None
     facts, outcomes = _outcomes(race_plan, answers or (), run)
