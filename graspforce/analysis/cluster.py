@@ -39,25 +39,23 @@ def run_on_cluster(cluster: Any, function: Callable[..., Any], arguments: Iterab
     remaining = iter(arguments)
     with client, client.as_current():
         client.wait_for_workers(1)
-        running, pending = 0, distributed.as_completed()
+        pending = distributed.as_completed()
 
-        def submit() -> int:
-            """Submit tasks until each thread has its share, and return their number. Workers may have joined meanwhile."""
+        def submit() -> None:
+            """Submit tasks until each thread has its share. Workers may have joined or left meanwhile."""
+            running = pending.count()
             count = _TASKS_PER_THREAD * sum(client.nthreads().values()) - running
-            batch = list(itertools.islice(remaining, max(count, 0 if running else 1)))  # one, even if all workers are gone
-            for each in batch:
+            for each in itertools.islice(remaining, max(count, 0 if running else 1)):  # one, even if all workers are gone
                 pending.add(client.submit(_call_with_one_thread, function, *each, pure=False))
-            return len(batch)
 
-        running = submit()
+        submit()
         for future in pending:
             try:
                 result = future.result()
             except distributed.scheduler.KilledWorker as error:
                 raise BackendError(f"a task ended several workers: {error}") from None
             future.release()
-            running -= 1
-            running += submit()
+            submit()
             yield result
 
 

@@ -19,7 +19,7 @@ from graspforce.grasp.collision.settings import DEFAULT_COLLISIONS, CollisionSet
 from graspforce.grasp.grasp import Grasp
 from graspforce.planning.failure import STOPPED, UNSOLVED, PlanFailure
 from graspforce.planning.regrasp.plan_regrasp import plan_regrasp
-from graspforce.planning.regrasp.pose_path import PosePath
+from graspforce.planning.regrasp.pose_path import MAX_DISTANCE, PosePath
 from graspforce.planning.regrasp.records import RegraspPlan, RegraspSettings, RegraspTask
 from graspforce.planning.regrasp.search import RegraspCallback, RegraspProgress
 
@@ -35,7 +35,7 @@ class RegraspGoal:
 
     Args:
         grasp: the grasp at the start, with all the fingers that may be used.
-        p_HO: (3,) position of O in H at the goal, m.
+        p_HO: (3,) position of O in H at the goal, m, at most `MAX_DISTANCE` from that of the grasp.
         R_HO: (3, 3) axes of the object in H at the goal.
         control: as of `RegraspTask`.
         collisions: as of `RegraspTask`.
@@ -53,6 +53,10 @@ class RegraspGoal:
     def __post_init__(self) -> None:
         p_HO, R_HO = arrays.check_array(self.p_HO, "p_HO", (3,)), arrays.check_rotation(self.R_HO, "R_HO")
         set_fields(self, p_HO=p_HO, R_HO=R_HO)
+        with np.errstate(over="ignore"):
+            distance = np.linalg.norm(p_HO - self.grasp.p_HO)  # m
+        if not distance <= MAX_DISTANCE:
+            raise InvalidInput("p_HO", p_HO, f"at most {MAX_DISTANCE:g} m from that of the grasp")
         if not self.is_moved and not self.is_turned:
             raise InvalidInput("p_HO", p_HO, "a pose other than that of the grasp")
 

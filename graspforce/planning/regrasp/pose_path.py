@@ -18,6 +18,7 @@ from graspforce.core.records import make_unchecked, set_fields
 from graspforce.geometry.rotations import rotation_exp, rotation_log
 
 LENGTH_PER_RADIAN = 0.03  # m: the displacement that counts as much as a turn of one radian
+MAX_DISTANCE = 10.0  # m, of one leg: far beyond the reach of any hand
 _MAX_TURN = math.radians(170.0)  # of one leg: the axis of a half turn is not unique
 
 
@@ -28,7 +29,7 @@ class PosePath:
     The path parameter u counts radians of turn, or displacement divided by `LENGTH_PER_RADIAN`, whichever is larger in a leg.
 
     Args:
-        p_HO: (M, 3) positions of O in H, m, M ≥ 2.
+        p_HO: (M, 3) positions of O in H, m, M ≥ 2; at most `MAX_DISTANCE` from each to the next.
         R_HO: (M, 3, 3) axes of the object in H; less than 170° from each to the next.
 
     Attributes:
@@ -36,7 +37,7 @@ class PosePath:
         knots: (M,) values of u at the poses; the first is zero.
 
     Raises:
-        InvalidInput: a wrong shape, no rotation, too large a turn, or two equal poses in succession.
+        InvalidInput: a wrong shape, no rotation, too long a leg, too large a turn, or two equal poses in succession.
     """
 
     p_HO: Array
@@ -50,10 +51,13 @@ class PosePath:
         if len(p_HO) < 2:
             raise InvalidInput("p_HO", p_HO, "at least two poses")
         turns = np.array([rotation_log(after @ before.T) for before, after in pairwise(R_HO)])  # rad, in H
-        distances = np.linalg.norm(np.diff(p_HO, axis=0), axis=1)  # m
+        with np.errstate(over="ignore"):
+            distances = np.linalg.norm(np.diff(p_HO, axis=0), axis=1)  # m
         for k, (distance, turn) in enumerate(zip(distances, turns, strict=True)):
             if np.linalg.norm(turn) > _MAX_TURN:
                 raise InvalidInput(f"R_HO[{k + 1}]", R_HO[k + 1], "less than 170° from the pose before")
+            if not distance <= MAX_DISTANCE:
+                raise InvalidInput(f"p_HO[{k + 1}]", p_HO[k + 1], f"at most {MAX_DISTANCE:g} m from the pose before")
             if distance == 0.0 and not turn.any():
                 raise InvalidInput(f"p_HO[{k + 1}]", p_HO[k + 1], "a pose that differs from the one before")
         lengths = np.maximum(np.linalg.norm(turns, axis=1), distances / LENGTH_PER_RADIAN)

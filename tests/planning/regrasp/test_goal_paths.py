@@ -69,6 +69,12 @@ def test_goal_at_the_grasp_is_rejected() -> None:
         RegraspGoal(GRASP, GRASP.p_HO, GRASP.R_HO)
 
 
+@pytest.mark.parametrize("distance", [10.1, 1e18, 1e300])
+def test_goal_beyond_the_largest_distance_is_rejected(distance: float) -> None:
+    with pytest.raises(InvalidInput, match=r"p_HO.*at most 10 m"):
+        RegraspGoal(GRASP, GRASP.p_HO + np.array([0.0, distance, 0.0]), GRASP.R_HO)
+
+
 @pytest.mark.parametrize("error", [0.1, 0.3])
 def test_margin_for_an_interval_of_friction_is_that_of_its_lower_end(error: float) -> None:
     task = turn_task()

@@ -52,6 +52,9 @@ def test_invalid_paths_are_refused_by_field() -> None:
         PosePath(np.zeros((2, 3)), np.array([START, START]))
     with pytest.raises(InvalidInput, match="p_HO"):
         PosePath(np.zeros((1, 3)), np.array([START]))
+    for distance in (10.1, 1e300):
+        with pytest.raises(InvalidInput, match=r"p_HO\[1\].*at most 10 m"):
+            PosePath(np.array([[0.0, 0.0, 0.0], [distance, 0.0, 0.0]]), np.array([START, START]))
     for wrong, field in (({"axis_H": [0.0, 0.0, 0.0]}, "axis_H"), ({"angle": 0.0}, "angle"), ({"angle": np.nan}, "angle")):
         with pytest.raises(InvalidInput, match=field):
             PosePath.turn(**{"p_HO": np.zeros(3), "R_HO": START, "axis_H": [0.0, 0.0, 1.0], "angle": 1.0, **wrong})
