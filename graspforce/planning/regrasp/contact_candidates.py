@@ -1,13 +1,14 @@
 """Places on an object that a finger can touch, at one pose of the object.
 
-Random postures of each finger, computed once, give tip positions. Those whose tip nearly touches the object's surface are moved
-onto it. Places near an edge, near the limits of a joint or near another finger are left out.
+Random postures of each finger, computed once a hand, give tip positions. Those whose tip nearly touches the object's surface
+are moved onto it. Places near an edge, near the limits of a joint or near another finger are left out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +32,7 @@ _LIMIT_MARGIN = 0.05  # rad: least distance of a joint from its limits
 _COUNTED = 8  # every so many of the postures, where places are counted
 WIDE_CLEARANCE = 0.005  # m: a larger clearance is no better
 _GENERATOR_SEED = 0  # the same postures in every search
+_KEPT_HANDS = 4  # whose postures are kept for the next search
 
 
 Mask = npt.NDArray[np.bool_]
@@ -82,10 +84,8 @@ class ContactCandidates:
         self._hand, self._shape, self._spacing, scene = hand, shape, options.spacing, options.scene
         self._scenes = {} if scene is None else {name: scene.of_finger(name) for name in fingers}
         self._model = dict(zip(fingers, friction, strict=True))
-        rng = np.random.default_rng(_GENERATOR_SEED)
-        q = rng.uniform(hand.q_lower, hand.q_upper, (_POSTURES, hand.n))
-        self._q = q
-        self._tips = dict(zip(fingers, hand.tips_along(q, fingers)[0].swapaxes(0, 1), strict=True))
+        self._q, tips = _random_postures(hand)
+        self._tips = {name: tips[name] for name in fingers}
 
     def mean_tips(self, rng: np.random.Generator, count: int) -> Array:
         """Return the means of all fingertips in random postures, (count, 3) in H, m.
@@ -201,3 +201,12 @@ def closest_places(shape: Shape, points: Array) -> tuple[Array, Array]:
     places = shape.project_to_surface(points)
     towards = places - points
     return places, towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
+
+
+@lru_cache(_KEPT_HANDS)
+def _random_postures(hand: Hand) -> tuple[Array, dict[str, Array]]:
+    """Return random postures of a hand (M, n), rad, and the tip positions (M, 3) of each finger in H, m."""
+    q = np.random.default_rng(_GENERATOR_SEED).uniform(hand.q_lower, hand.q_upper, (_POSTURES, hand.n))
+    tree = hand.tree()
+    p_HL, R_HL = tree.poses_along(q @ hand.T.T + hand.q0)
+    return freeze(q), {tip.finger: freeze(p_HL[:, tip.link] + R_HL[:, tip.link] @ tip.p_LF) for tip in tree.tips}
