@@ -204,7 +204,7 @@ class _Sender:
 
         self._session.get(
             f"{protocol.PREFIX}/{key}",
-            Callback(receive, done),
+            Callback(receive, done, indirect=False),  # on Zenoh's thread: a thread for each request would slow the flood down
             payload=payload,
             encoding=protocol.MSGPACK,
             attachment=client.encode(),
