@@ -18,6 +18,9 @@ from graspforce.geometry.poses import pose_from_dict, pose_to_dict
 LARGEST = 1e6
 """Largest magnitude of a measured number, in SI units. No hand measures more, and estimates stay finite below it."""
 
+LARGEST_TIME = 1e10
+"""Largest magnitude of a time, s. Times on all clocks in seconds are smaller, Unix time included; in ms or ns they are larger."""
+
 _SYMMETRY_TOLERANCE = 1e-9  # largest |C − Cᵀ| of a covariance, relative to its largest entry
 
 # Names in a record; the other fields have the same name there.
@@ -44,8 +47,8 @@ class PoseMeasurement:
         covariance: (6, 6) covariance of δ, m², m·rad and rad²; None if the sensor reports none.
 
     Raises:
-        InvalidInput: a value is not finite or larger than `LARGEST`, `R_HO` is not a rotation, or `covariance` is not symmetric
-            positive semidefinite.
+        InvalidInput: a value is not finite or larger than `LARGEST`, `t` than `LARGEST_TIME`, `R_HO` is not a rotation, or
+            `covariance` is not symmetric positive semidefinite.
     """
 
     t: float
@@ -62,7 +65,7 @@ class PoseMeasurement:
     def __post_init__(self) -> None:
         set_fields(
             self,
-            t=arrays.check_number(self.t, "t"),
+            t=_check_time(self.t),
             p_HO=_check_measured(self.p_HO, "p_HO", (3,)),
             R_HO=arrays.check_rotation(self.R_HO, "R_HO"),
         )
@@ -109,7 +112,8 @@ class Measurement:
         object: pose of the object that arrived since the last measurement; it may be older than `t`. None if none arrived.
 
     Raises:
-        InvalidInput: a value is not finite, is larger than `LARGEST`, or has another shape than `q` or other rows.
+        InvalidInput: a value is not finite, is larger than `LARGEST` (`t`: `LARGEST_TIME`), or has another shape than `q` or
+            other rows.
     """
 
     t: float
@@ -137,7 +141,7 @@ class Measurement:
 
     def __post_init__(self) -> None:
         q = _check_measured(self.q, "q", (None,))
-        set_fields(self, t=arrays.check_number(self.t, "t"), q=q)
+        set_fields(self, t=_check_time(self.t), q=q)
         for name in ("v", "tau", "current"):
             if getattr(self, name) is not None:
                 set_fields(self, **{name: _check_measured(getattr(self, name), name, q.shape)})
@@ -180,6 +184,14 @@ class Measurement:
             name, bracket, index = error.field.partition("[")
             record_name = _RECORD_NAMES.get(name, name) + bracket + index
             raise error.with_field(record_name).with_prefix(field) from None
+
+
+def _check_time(value: object) -> float:
+    """Return a time in s of any clock."""
+    t = arrays.check_number(value, "t")
+    if abs(t) > LARGEST_TIME:
+        raise InvalidInput("t", t, f"a time in s, from −{LARGEST_TIME:g} to {LARGEST_TIME:g}")
+    return t
 
 
 def _check_measured(value: object, field: str, shape: tuple[int | None, ...]) -> Array:

@@ -54,12 +54,15 @@ def test_a_quaternion_gives_the_same_pose():
     ("change", "field"),
     [
         ({"t": None}, "measurement.t"),
+        ({"t": -1e228}, "measurement.t"),
+        ({"t": 1.7e12}, "measurement.t"),  # Unix time in ms
         ({"posture": [0.1, float("nan")]}, "measurement.posture[1]"),
         ({"velocity": [0.1]}, "measurement.velocity"),
         ({"tip_wrenches": [[1.0, 2.0, 3.0]]}, "measurement.tip_wrenches"),
         ({"contact_points": [[1.0, 2.0, 3.0]]}, "measurement.contact_points"),
         ({"colour": 1}, "measurement.colour"),
         ({"object": {"position": [0, 0, 0], "rotation": TURN}}, "measurement.object.t"),
+        ({"object": {"t": 1e11, "position": [0, 0, 0], "rotation": TURN}}, "measurement.object.t"),
         (
             {"object": {"t": 0.0, "position": [0, 0, 0], "rotation": np.diag([1.0, 1.0, -1.0]).tolist()}},
             "measurement.object.rotation",
