@@ -152,15 +152,17 @@ def build_hull(points: Array) -> Any:
 
 
 def _full_dimensional_points(support: Support) -> Array | None:
-    """Return (m, 6) support points that span six dimensions; None if the set is flat."""
-    points = np.array([support(u)[1] for u in (*np.eye(6), *-np.eye(6))])
+    """Return (m, 6) support points that span six dimensions; None if the set is flat within rounding."""
+    points, last = np.array([support(u)[1] for u in (*np.eye(6), *-np.eye(6))]), -1
     while True:
         centre = points.mean(axis=0)
         sigma, rows = np.linalg.svd(points - centre)[1:]
         rank = int(np.count_nonzero(sigma > RANK_TOLERANCE * sigma[0])) if sigma[0] > 0.0 else 0
         if rank == 6:
             return points
-        u = rows[rank]
+        if rank == last:  # the points in the direction that was missing are no farther apart than rounding
+            return None
+        u, last = rows[rank], rank
         more = np.array([support(u)[1], support(-u)[1]])
         if np.abs((more - centre) @ u).max() <= RANK_TOLERANCE * np.abs(more).max():
             return None

@@ -9,7 +9,8 @@ from support.contact_strategies import contact_ring, contacts_around_object
 from graspforce import Contact, ContactSet, InvalidInput
 from graspforce.contact import friction
 from graspforce.contact.closure import is_force_closed
-from graspforce.contact.matrices import characteristic_length, normalised_grasp_matrix
+from graspforce.contact.inscribed_ball import inscribed_ball
+from graspforce.contact.matrices import RANK_TOLERANCE, characteristic_length, normalised_grasp_matrix
 from graspforce.contact.quality import ferrari_canny, inscribed_ball_radius, smallest_singular_value, wrench_ball
 
 FACETS = 8
@@ -180,3 +181,20 @@ def test_rejects_an_invalid_number_of_facets(facets):
 def test_rejects_invalid_wrenches(wrenches):
     with pytest.raises(InvalidInput, match="wrenches"):
         inscribed_ball_radius(wrenches)
+
+
+@pytest.mark.parametrize("factor", [0.01, 0.03, 0.1, 0.2, 0.3, 0.4])
+def test_search_of_the_ball_ends_for_a_set_that_is_flat_within_rounding(factor: float) -> None:
+    """An ellipsoid with one semi-axis below the tolerance of the rank."""
+    Q = np.linalg.qr(np.random.default_rng(5).normal(size=(6, 6)))[0]
+    D = Q @ np.diag([1.0, 1.0, 1.0, 1.0, 1.0, factor * RANK_TOLERANCE]) @ Q.T
+    calls = 0
+
+    def support(u):
+        nonlocal calls
+        calls += 1
+        assert calls <= 12 + 2 * 7, "a point in each of twelve directions, and two for each rank"
+        size = float(np.linalg.norm(D @ u))
+        return size, D @ (D @ u) / size
+
+    assert inscribed_ball(support).radius == 0.0
