@@ -204,7 +204,7 @@ class _Sender:
 
         self._session.get(
             f"{protocol.PREFIX}/{key}",
-            Callback(receive, done, indirect=False),  # on Zenoh's thread: a thread for each request would slow the flood down
+            Callback(receive, done, indirect=False),  # no thread for each request: they would slow the flood down
             payload=payload,
             encoding=protocol.MSGPACK,
             attachment=client.encode(),

@@ -19,7 +19,7 @@ LARGEST = 1e6
 """Largest magnitude of a measured number, in SI units. No hand measures more, and estimates stay finite below it."""
 
 LARGEST_TIME = 1e10
-"""Largest magnitude of a time, s. On all clocks, Unix time included, seconds are fewer; milliseconds of Unix time are more."""
+"""Largest magnitude of a time, s. Unix time in s is smaller; in ms it is larger, and refused."""
 
 _SYMMETRY_TOLERANCE = 1e-9  # largest |C − Cᵀ| of a covariance, relative to its largest entry
 

@@ -1,7 +1,7 @@
 """Places on an object that a finger can touch, at one pose of the object.
 
-Random postures of each finger, computed once a hand, give tip positions. Those whose tip nearly touches the object's surface
-are moved onto it. Places near an edge, near the limits of a joint or near another finger are left out.
+Random postures of each finger, computed once for each hand, give tip positions. Those whose tip nearly touches the object's
+surface are moved onto it. Places near an edge, near the limits of a joint or near another finger are left out.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _LIMIT_MARGIN = 0.05  # rad: least distance of a joint from its limits
 _COUNTED = 8  # every so many of the postures, where places are counted
 WIDE_CLEARANCE = 0.005  # m: a larger clearance is no better
 _GENERATOR_SEED = 0  # the same postures in every search
-_KEPT_HANDS = 4  # whose postures are kept for the next search
+_KEPT_HANDS = 4  # hands whose postures are kept for the next search
 
 
 Mask = npt.NDArray[np.bool_]

@@ -55,7 +55,7 @@ class RegraspGoal:
         set_fields(self, p_HO=p_HO, R_HO=R_HO)
         with np.errstate(over="ignore"):
             distance = np.linalg.norm(p_HO - self.grasp.p_HO)  # m
-        if not distance <= MAX_DISTANCE:
+        if distance > MAX_DISTANCE:
             raise InvalidInput("p_HO", p_HO, f"at most {MAX_DISTANCE:g} m from that of the grasp")
         if not self.is_moved and not self.is_turned:
             raise InvalidInput("p_HO", p_HO, "a pose other than that of the grasp")

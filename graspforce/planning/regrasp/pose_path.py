@@ -56,7 +56,7 @@ class PosePath:
         for k, (distance, turn) in enumerate(zip(distances, turns, strict=True)):
             if np.linalg.norm(turn) > _MAX_TURN:
                 raise InvalidInput(f"R_HO[{k + 1}]", R_HO[k + 1], "less than 170° from the pose before")
-            if not distance <= MAX_DISTANCE:
+            if distance > MAX_DISTANCE:
                 raise InvalidInput(f"p_HO[{k + 1}]", p_HO[k + 1], f"at most {MAX_DISTANCE:g} m from the pose before")
             if distance == 0.0 and not turn.any():
                 raise InvalidInput(f"p_HO[{k + 1}]", p_HO[k + 1], "a pose that differs from the one before")
