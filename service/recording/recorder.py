@@ -33,7 +33,7 @@ from graspforce.service.recording.exchange import (
     this_machine,
     this_version,
 )
-from graspforce.service.workers.planning_process import worker_environment
+from graspforce.service.workers.worker_process import start_worker
 
 log = logging.getLogger("graspforce.service")
 
@@ -96,13 +96,7 @@ class Recorder:
         """
         self.path.open("wb").close()
         command = [*self._options.command, str(self.path)]
-        self._process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            env=worker_environment(),
-            start_new_session=True,  # Ctrl-C ends the server, and the process writes the rest
-        )
+        self._process = start_worker(command, stdin=subprocess.PIPE)
         clock = time.time_ns() - time.perf_counter_ns()
         header = Header(clock, this_version(), this_machine(), tuple(map(recorded_hand, hands)), limits)
         self._thread = threading.Thread(target=self._run, args=(header,), name="recorder", daemon=True)

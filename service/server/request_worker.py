@@ -10,7 +10,6 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
-from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 
 from graspforce.hand.hand import Hand
@@ -19,7 +18,7 @@ from graspforce.service.server.log_format import present_logging
 from graspforce.service.server.request_process import START, ProcessAnswer, ProcessRequest, ProcessSetup
 from graspforce.service.wire import protocol
 from graspforce.service.wire.reply import Reply, make_error_reply
-from graspforce.service.workers.planning_process import worker_environment
+from graspforce.service.workers.worker_process import start_piped_worker
 
 log = logging.getLogger("graspforce.service")
 
@@ -50,17 +49,7 @@ class RequestWorker:
 
     def start(self) -> None:
         """Start the process, and do not wait until it can answer."""
-        ours, theirs = Pipe()
-        with theirs:
-            number = theirs.fileno()
-            process = subprocess.Popen(
-                [*self._command, str(number)],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,  # some solvers print banners that no option turns off
-                env=worker_environment(),
-                pass_fds=(number,),
-                start_new_session=True,  # Ctrl-C goes to the server only, which ends its processes in order
-            )
+        process, ours = start_piped_worker(self._command)
         with self._lock:
             self._process, self._pipe, self._sent_setup = process, ours, None
         if self._is_closed:

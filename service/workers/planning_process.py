@@ -45,8 +45,6 @@ from graspforce.service.workers.jobs import (
 
 _NICENESS = 10  # control has priority if processors are short
 _PROGRESS_PERIOD = 0.05  # s, between progress messages within a stage
-# One thread for each library: small matrices gain nothing from more.
-_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def run_job(
@@ -171,11 +169,6 @@ class HandCache:
         if job.hand_model is not None:
             self._hands[job.hand_name] = job.hand_model
         return self._hands[job.hand_name]
-
-
-def worker_environment() -> dict[str, str]:
-    """Return the environment variables of a planning process: the server's, with one thread for each library."""
-    return {**os.environ, **dict.fromkeys(_THREAD_VARIABLES, "1")}
 
 
 def limit_memory(size: int) -> None:

@@ -15,7 +15,6 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 
 from graspforce.hand.hand import Hand
@@ -28,7 +27,7 @@ from graspforce.service.workers.jobs import (
     WorkerMessage,
     make_stopped_answer,
 )
-from graspforce.service.workers.planning_process import worker_environment
+from graspforce.service.workers.worker_process import start_piped_worker
 
 log = logging.getLogger("graspforce.service")
 
@@ -163,17 +162,7 @@ class PlanningWorker:
             if self._pipe is not None and self._process is not None and self._process.poll() is None:
                 return self._pipe
         self._kill_process()
-        ours, theirs = Pipe()
-        with theirs:
-            number = theirs.fileno()
-            process = subprocess.Popen(
-                [*self._command, str(number)],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,  # some solvers print banners that no option turns off
-                env=worker_environment(),
-                pass_fds=(number,),
-                start_new_session=True,  # Ctrl-C goes to the server only, which ends its processes in order
-            )
+        process, ours = start_piped_worker(self._command)
         with self._lock:
             self._process, self._pipe = process, ours
         return ours

@@ -15,7 +15,7 @@ from graspforce.service.wire.plan_records import read_answer, read_progress
 from graspforce.service.wire.reply import Reply
 from graspforce.service.workers import planning_worker as workers
 from graspforce.service.workers.jobs import ANSWER, PlanningJob, WorkerMessage
-from graspforce.service.workers.planning_process import run_job, worker_environment
+from graspforce.service.workers.planning_process import run_job
 from graspforce.service.workers.planning_worker import PlanningWorker
 
 TIMEOUT = 30.0  # s, enough for a busy machine; only a failing test waits so long
@@ -42,13 +42,6 @@ def job(record: Any, *, budget: float = 60.0, remaining: float | None = None, se
 
 def decoded(reply: Reply) -> Any:
     return protocol.decode(reply.payload, reply.encoding)
-
-
-def test_planning_process_uses_one_thread_in_any_environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("OMP_NUM_THREADS", "7")
-    monkeypatch.setenv("LANG", "C.UTF-8")
-    assert worker_environment()["OMP_NUM_THREADS"] == "1"
-    assert worker_environment()["LANG"] == "C.UTF-8"
 
 
 @pytest.mark.parametrize("kind", ["path", "free", "fingers"])

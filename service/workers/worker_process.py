@@ -1,0 +1,62 @@
+"""Start the processes that work for the server beside its streams.
+
+Each is in a process group of its own, so that Ctrl-C in a terminal reaches the server only, which then ends its processes in
+order. It stays in the server's session: with `sched_autogroup_enabled`, Linux gives each session an equal share of the
+processors, and the niceness of a process counts only within its session.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+
+# One thread for each library: small matrices gain nothing from more.
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def start_worker(
+    command: Sequence[str], *, stdin: int = subprocess.DEVNULL, pass_fds: Sequence[int] = ()
+) -> subprocess.Popen[bytes]:
+    """Start a process in a process group of its own.
+
+    Args:
+        command: its command line.
+        stdin: its standard input, as in `subprocess.Popen`.
+        pass_fds: file descriptors that it inherits.
+
+    Raises:
+        OSError: the process cannot be started.
+    """
+    output = subprocess.DEVNULL  # some solvers print banners that no option turns off
+    environment, inherited = worker_environment(), tuple(pass_fds)
+    if sys.version_info >= (3, 11):
+        return subprocess.Popen(command, stdin=stdin, stdout=output, env=environment, pass_fds=inherited, process_group=0)
+    return subprocess.Popen(command, stdin=stdin, stdout=output, env=environment, pass_fds=inherited, start_new_session=True)
+
+
+def start_piped_worker(command: Sequence[str]) -> tuple[subprocess.Popen[bytes], Connection]:
+    """Start a process with a pipe, and return the process and this end of the pipe.
+
+    Args:
+        command: its command line; the number of its end of the pipe is appended.
+
+    Raises:
+        OSError: the process cannot be started.
+    """
+    ours, theirs = Pipe()
+    with theirs:
+        number = theirs.fileno()
+        try:
+            return start_worker([*command, str(number)], pass_fds=(number,)), ours
+        except OSError:
+            ours.close()
+            raise
+
+
+def worker_environment() -> dict[str, str]:
+    """Return the environment variables of a worker process: the server's, with one thread for each library."""
+    return {**os.environ, **dict.fromkeys(_THREAD_VARIABLES, "1")}
