@@ -5,7 +5,9 @@ process sends as many requests as it can, and has up to 2000 requests without an
 flood has a quiet time before it, which states the polite client's usual latency.
 
 A refused request is replaced at once. The time to a refusal therefore contains the client's own backlog: its requests without
-an answer, divided by the answers per second. With four times fewer requests it is about four times shorter.
+an answer, divided by the answers per second. With four times fewer requests it is about four times shorter. "Zenoh alone" is
+the same flood against a queryable that refuses every request at once, without a service or another client: no server in Python
+answers this client sooner.
 
 "answered" is the share of the polite client's requests that are solved in time during the flood. "recovery" is the time from
 the end of the flood until the first of five consecutive polite requests that each take at most the 99 % quantile of the quiet
@@ -24,6 +26,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import report_page
+from benchmarks.bare_refusals import start_bare_refusals
 from benchmarks.service_load import TIMEOUT, Load, LoadResult, ServerUnderTest, start_client, start_server
 from graspforce import problems
 from graspforce.core.errors import ServiceError
@@ -93,6 +96,19 @@ def recovery(polite: Polite, end: float, longest: float) -> float:
     return float("nan")
 
 
+def time_bare_refusals(load: Load, seconds: float) -> float:
+    """Return the 99 % quantile of the times of a load to refusals of Zenoh alone, s.
+
+    Args:
+        load: the load.
+        seconds: time of the load, s.
+    """
+    with start_bare_refusals() as address, start_client(address) as flooder:
+        flooder.start(load)
+        time.sleep(seconds)
+        return flooder.stop().quantile(0.99, "overloaded")
+
+
 def measure(name: str, seconds: float) -> tuple[str, ...]:
     """Return the row of a flood."""
     with start_server() as server, Client(server.address, timeout=TIMEOUT) as client:
@@ -108,6 +124,7 @@ def measure(name: str, seconds: float) -> tuple[str, ...]:
 
             threading.Thread(target=stop).start()
             after = ask(client, server, seconds, stopped)
+    bare = time_bare_refusals(FLOODS[name], seconds)
     usual = float(np.median(quiet.seconds))
     before = quiet.memory[-1]
     [result] = results
@@ -115,6 +132,7 @@ def measure(name: str, seconds: float) -> tuple[str, ...]:
         name,
         str(result),
         f"{1e3 * result.quantile(0.99, 'overloaded'):.0f}" if result.count("overloaded") else "–",
+        f"{1e3 * bare:.0f}",
         f"{100.0 * np.mean(flooded.solved):.0f} %",
         f"{1e3 * usual:.1f}",
         f"{1e3 * np.median(flooded.seconds):.1f}",
@@ -130,7 +148,7 @@ def _show(rows: list[tuple[str, ...]], save: Path | None) -> None:
     """Print the table and write the page."""
     polite = ("answered", "usual ms", "median ms", "99 % ms")
     memory = ("memory before, MiB", "largest growth", "growth after")
-    head = ("flood", "answers", "99 % of `overloaded` ms", *polite, "recovery s", *memory)
+    head = ("flood", "answers", "99 % of `overloaded` ms", "Zenoh alone ms", *polite, "recovery s", *memory)
     report_page.publish("Floods of requests beside a polite client", __doc__, head, rows, save, text_columns=2, width=200)
 
 
