@@ -26,8 +26,15 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import report_page
-from benchmarks.bare_refusals import start_bare_refusals
-from benchmarks.service_load import TIMEOUT, Load, LoadResult, ServerUnderTest, start_client, start_server
+from benchmarks.service_load import (
+    TIMEOUT,
+    Load,
+    LoadResult,
+    ServerUnderTest,
+    start_bare_refusals,
+    start_client,
+    start_server,
+)
 from graspforce import problems
 from graspforce.core.errors import ServiceError
 from graspforce.service import Client

@@ -29,6 +29,7 @@ from graspforce.planning.tracking import object_task
 from graspforce.service import Client
 from graspforce.service.wire import protocol
 from graspforce.service.wire.control_records import StreamSetup
+from graspforce.service.wire.reply import make_error_reply
 from graspforce.service.zenoh_session import build_configuration
 
 HAND = "allegro_right"
@@ -414,6 +415,30 @@ def _run_echo(server: str) -> None:
         thread.join()
 
 
+@contextlib.contextmanager
+def start_bare_refusals() -> Iterator[str]:
+    """Start a Zenoh queryable that refuses every request at once, without a service, and return its endpoint."""
+    with python_process("benchmarks.service_load", "refuse") as child:
+        yield read_line(child)
+
+
+def _run_refusals() -> None:
+    """Refuse all requests until standard input closes."""
+    sys.setswitchinterval(1e-4)  # as `graspforce serve` does
+    refusal = make_error_reply(protocol.MSGPACK, "overloaded", "this server refuses every request", None, None, 0.1)
+
+    def refuse(query: zenoh.Query) -> None:
+        query.reply_err(refusal.payload, encoding=protocol.MSGPACK)
+
+    settings = {"listen/endpoints": [LOCAL], "adminspace/enabled": True}
+    with zenoh.open(build_configuration(None, {"mode": "peer"}, settings)) as session:
+        queryable = session.declare_queryable(f"{protocol.PREFIX}/**", refuse)
+        [reply] = session.get(f"@/{session.zid()}/*", timeout=TIMEOUT)
+        print(json.loads(reply.ok.payload.to_bytes())["locators"][0], flush=True)
+        sys.stdin.read()
+        queryable.undeclare()
+
+
 def _run_streams(address: str, count: int, period: float) -> None:
     """Step several streams in turn, each once a period, until standard input closes."""
     grasp, is_open = allegro_grasp(), True
@@ -456,4 +481,4 @@ if __name__ == "__main__":
     if role == "streams":
         _run_streams(arguments[0], int(arguments[1]), float(arguments[2]))
     else:
-        {"load": _run_client, "echo": _run_echo}[role](*arguments)
+        {"load": _run_client, "echo": _run_echo, "refuse": _run_refusals}[role](*arguments)
