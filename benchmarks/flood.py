@@ -6,8 +6,8 @@ flood has a quiet time before it, which states the polite client's usual latency
 
 A refused request is replaced at once. The time to a refusal therefore contains the client's own backlog: its requests without
 an answer, divided by the answers per second. With four times fewer requests it is about four times shorter. "Zenoh alone" is
-the same flood against a queryable that refuses every request at once, without a service or another client: no server in Python
-answers this client sooner.
+the same flood against a queryable that refuses every request at once, without a service or a second client. It is the part of
+the time that Zenoh and the flooding client need.
 
 "answered" is the share of the polite client's requests that are solved in time during the flood. "recovery" is the time from
 the end of the flood until the first of five consecutive polite requests that each take at most the 99 % quantile of the quiet

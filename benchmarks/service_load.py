@@ -30,7 +30,7 @@ from graspforce.service import Client
 from graspforce.service.wire import protocol
 from graspforce.service.wire.control_records import StreamSetup
 from graspforce.service.wire.reply import make_error_reply
-from graspforce.service.zenoh_session import build_configuration
+from graspforce.service.zenoh_session import build_configuration, find_addresses
 
 HAND = "allegro_right"
 LOCAL = "tcp/127.0.0.1:0"
@@ -393,7 +393,8 @@ def _run_echo(server: str) -> None:
     """Answer each message with one of a command's size until standard input closes."""
     sys.setswitchinterval(1e-4)  # as `graspforce serve` does
     settings = {"connect/endpoints": [server]} if server else {"listen/endpoints": [LOCAL], "adminspace/enabled": True}
-    with zenoh.open(build_configuration(None, {"mode": "client" if server else "peer"}, settings)) as session:
+    configuration = build_configuration(None, {"mode": "client" if server else "peer"}, settings)
+    with zenoh.open(configuration) as session:
         command = session.declare_publisher("echo/command", congestion_control=zenoh.CongestionControl.DROP)
         states = session.declare_subscriber("echo/state", RingChannel(1))
 
@@ -405,11 +406,7 @@ def _run_echo(server: str) -> None:
 
         thread = threading.Thread(target=run)
         thread.start()
-        address = server
-        if not server:
-            [reply] = session.get(f"@/{session.zid()}/*", timeout=TIMEOUT)
-            address = json.loads(reply.ok.payload.to_bytes())["locators"][0]
-        print(address, flush=True)
+        print(server or find_addresses(session, configuration)[0], flush=True)
         sys.stdin.read()
         states.undeclare()
         thread.join()
@@ -431,10 +428,10 @@ def _run_refusals() -> None:
         query.reply_err(refusal.payload, encoding=protocol.MSGPACK)
 
     settings = {"listen/endpoints": [LOCAL], "adminspace/enabled": True}
-    with zenoh.open(build_configuration(None, {"mode": "peer"}, settings)) as session:
+    configuration = build_configuration(None, {"mode": "peer"}, settings)
+    with zenoh.open(configuration) as session:
         queryable = session.declare_queryable(f"{protocol.PREFIX}/**", refuse)
-        [reply] = session.get(f"@/{session.zid()}/*", timeout=TIMEOUT)
-        print(json.loads(reply.ok.payload.to_bytes())["locators"][0], flush=True)
+        print(find_addresses(session, configuration)[0], flush=True)
         sys.stdin.read()
         queryable.undeclare()
 

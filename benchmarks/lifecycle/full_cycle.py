@@ -65,7 +65,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """
     parser.add_argument("--hands", default=",".join(HANDS), help="names of the hands")
     parser.add_argument("--objects", type=int, default=len(OBJECTS), help="number of objects")
-    parser.add_argument("--worlds", default=",".join(WORLDS), help=f"kinds of worlds (default: {','.join(WORLDS)})")
+    parser.add_argument("--worlds", nargs="*", default=WORLDS, choices=WORLDS, help="kinds of worlds (default: all)")
     parser.add_argument("--seeds", type=int, default=5, help="number of seeds of each world (default: 5)")
 
 
@@ -84,7 +84,7 @@ def run(path: Path, options: argparse.Namespace) -> None:
         for seed in range(options.seeds):
             for name in list(OBJECTS)[: options.objects]:
                 for hand in options.hands.split(","):
-                    for world in options.worlds.split(","):
+                    for world in options.worlds:
                         if (hand, name, world, seed) in done:
                             continue
                         if (hand, name) not in plans:

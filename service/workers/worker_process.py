@@ -35,6 +35,7 @@ def start_worker(
     environment, inherited = worker_environment(), tuple(pass_fds)
     if sys.version_info >= (3, 11):
         return subprocess.Popen(command, stdin=stdin, stdout=output, env=environment, pass_fds=inherited, process_group=0)
+    # Python 3.10 can only start a session.
     return subprocess.Popen(command, stdin=stdin, stdout=output, env=environment, pass_fds=inherited, start_new_session=True)
 
 
