@@ -24,6 +24,7 @@ from graspforce.geometry.rotations import rotation_exp, rotation_log
 from graspforce.grasp.grasp import Grasp
 
 _FASTEST_TIP = 0.03  # m/s: speed along its inward normal of a fingertip that does not touch
+_SPEED_TIME = 5e-3  # s: average of these speeds, which must be above the limit, too; encoder noise makes single ones so
 _RETREAT_RATE = 10.0  # times as fast as they rise, the forces go back while a fingertip runs
 _RISE_AT_TOUCH = 5e-4  # m: rise of the object in the hand that shows the table; estimates scatter less
 _TOUCH_DISTANCE = 0.015  # m: way of the base before its end on which the object may meet the table
@@ -174,6 +175,8 @@ class SqueezePhase:
         self._tips = [grasp.hand.frame_id(name) for name in grasp.fingers]
         self._normals = grasp.contacts.R_OC[:, :, 2] @ grasp.R_HO.T
         self._rise_time = 0.0  # s
+        self._mean_speeds = np.zeros(len(grasp.fingers))  # m/s
+        self._speed_share = 1.0 - math.exp(-held.servo.period / _SPEED_TIME)
 
     def step(self, t: float, measurement: Measurement, memory: ServoMemory) -> PhaseTorques:
         """Return the torques of a period; see `JointPhase.step`.
@@ -185,7 +188,9 @@ class SqueezePhase:
         """
         held, settings = self._held, self._held.settings
         servo = held.servo.step(memory, measurement, self._wait, self._force, predicted=False)
-        is_running = self._inward_speeds(servo[0]).max() > _FASTEST_TIP
+        speeds = self._inward_speeds(servo[0])
+        self._mean_speeds = self._mean_speeds + self._speed_share * (speeds - self._mean_speeds)  # m/s
+        is_running = np.minimum(speeds, self._mean_speeds).max() > _FASTEST_TIP
         self._rise_time = max(self._rise_time + (-_RETREAT_RATE if is_running else 1.0) * held.servo.period, 0.0)
         share = minimum_jerk(self._rise_time, settings.squeeze_time)[0]
         weight = minimum_jerk(max(self._rise_time - settings.squeeze_time, 0.0), settings.transfer_time)[0]
