@@ -18,10 +18,14 @@ from graspforce.estimation.measurement import Measurement
 from graspforce.hand.hand import Hand
 
 _PATIENCE = 2.0  # s after the end of the motion in which the joints may still arrive
+_STUCK_TOLERANCE = 3.0  # of the tolerances: error at which joints that static friction has stopped are near enough
 
 
 class JointPhase:
     """The fingers follow a joint motion until they rest at its end.
+
+    Static friction may stop joints before it. Two seconds after the end of the motion, three times the tolerances are enough: the
+    next phases need the room between fingertips and object, and no exact posture.
 
     Args:
         servo: the servo.
@@ -56,11 +60,12 @@ class JointPhase:
         """
         desired, end = self._motion(t), self._motion.duration
         servo = self._servo.step(memory, measurement, desired, self._force, is_free=True, learns=self._learns)
-        is_near = t >= end and bool((np.abs(desired.q - servo[0].q) <= self._tolerances).all())
+        error = float((np.abs(desired.q - servo[0].q) / self._tolerances).max())
+        is_near = t >= end and error <= 1.0
         self._settled = self._settled + self._servo.period if is_near else 0.0
-        is_over = self._settled >= self._settings.settling_time
-        late = t > end + _PATIENCE and not is_near
-        return PhaseTorques(servo[0].tau, servo, self._base, is_over, NOT_REACHED if late else "")
+        is_late = t > end + _PATIENCE and not is_near
+        is_over = self._settled >= self._settings.settling_time or (is_late and error <= _STUCK_TOLERANCE)
+        return PhaseTorques(servo[0].tau, servo, self._base, is_over, NOT_REACHED if is_late and not is_over else "")
 
 
 class ReopenPhase:

@@ -9,6 +9,7 @@ from graspforce.control.joints.joint_trajectory import JointTrajectory
 from graspforce.control.phases.cycle_plan import STOP_DECELERATION, BaseMotion
 from graspforce.control.phases.finger_servo import ServoStep
 from graspforce.control.phases.joint_phases import HoldJoints, JointPhase, ReopenPhase
+from graspforce.control.phases.phase_rules import NOT_REACHED
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.estimation.measurement import Measurement
 from graspforce.hand.hand import Hand
@@ -42,6 +43,20 @@ def test_joints_arrive_within_the_tolerance_of_their_kind():
     slides, turns = Hand.load("parallel_jaws"), Hand.load("allegro_right")
     assert (arrives(slides, 0.9e-3), arrives(slides, 1.1e-3)) == (True, False)
     assert (arrives(turns, 0.029), arrives(turns, 0.031)) == (True, False)
+
+
+@pytest.mark.parametrize(("lag", "expected"), [(0.02, 0.2), (0.08, 2.1), (0.1, None)])
+def test_joints_that_friction_stops_near_the_posture_arrive_late(lag, expected):
+    """The motion takes 0.1 s, and the joints rest for 0.1 s. From 2 s after it, 90 mrad are near enough."""
+    hand = Hand.load("allegro_right")
+    motion = JointTrajectory.between(hand.neutral, hand.neutral + 1e-3, 0.1)
+    phase = JointPhase(FollowingServo(hand, lag), motion, SETTINGS, BaseMotion.at_rest(np.zeros(3)), BOUND, False)
+    for k in range(2200):
+        result = phase.step(PERIOD * k, Measurement(PERIOD * k, hand.neutral), None)
+        if result.is_over or result.abort:
+            break
+    assert (result.is_over, result.abort) == ((True, "") if expected else (False, NOT_REACHED))
+    assert PERIOD * k == pytest.approx(expected or 2.1, abs=3 * PERIOD)
 
 
 def test_torques_accelerate_the_links_with_the_base():
