@@ -24,8 +24,8 @@ _STUCK_TOLERANCE = 3.0  # of the tolerances: error at which joints that static f
 class JointPhase:
     """The fingers follow a joint motion until they rest at its end.
 
-    Static friction may stop joints before it. Two seconds after the end of the motion, three times the tolerances are enough: the
-    next phases need the room between fingertips and object, and no exact posture.
+    Static friction may stop joints before it. Two seconds after the end of the motion, three times the tolerances are
+    enough: the next phases need room between fingertips and object, and no exact posture.
 
     Args:
         servo: the servo.

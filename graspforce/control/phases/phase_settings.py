@@ -38,8 +38,8 @@ class PhaseSettings(SettingsRecord):
         squeeze_time: time in which the forces rise from the touch to the planned forces, s.
         transfer_time: time in which the weight goes from the table to the fingers, and back, s.
         settling_time: time for which the joints must be at a posture before the phase ends, s.
-        posture_tolerance: largest joint error at the end of approach and retract, rad. That of a prismatic joint is 1 mm. Joints
-            that have not arrived 2 s after the motion may be three times as far.
+        posture_tolerance: largest joint error at the end of approach and retract, rad. That of a prismatic joint is 1 mm.
+            Joints that have not arrived 2 s after the motion may be three times as far.
         contact_tolerance: distance of a fingertip from the surface from which its contact counts as lost, m.
         largest_shift: distance that the object may move in the squeeze, m; beyond it the fingers let go.
         loss_time: time after which a lost contact, a step without forces, or a pause of the measurements ends the cycle, s.
