@@ -215,6 +215,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """
     parser.add_argument("--moves", type=int, default=500, help="moves of each hand (default: 500)")
     parser.add_argument("--free", type=int, default=12, help="moves of each hand that plan_free plans, too (default: 12)")
+    parser.add_argument("--hands", nargs="*", choices=HANDS, help="hands (default: all)")
     parser.add_argument("--refusals", type=int, default=20, help="refusals of each hand to check (default: 20)")
     parser.add_argument("--samples", type=int, default=60, help="edges that the search for a refused move tries (default: 60)")
 
@@ -231,10 +232,11 @@ def run(path: Path, options: argparse.Namespace) -> None:
         done = {(each["hand"], each["number"]) for each in known if "result" in each}
         timed = {name: sum(each["hand"] == name and each.get("free_seconds", 0.0) > 0.0 for each in known) for name in HANDS}
         refused = {name: [each["number"] for each in known if each["hand"] == name and "refusal" in each] for name in HANDS}
-        grasps = {name: find_grasp(Hand.load(name), Body.solid(Sphere(0.03), mass=0.05), friction=0.7) for name in HANDS}
+        hands = options.hands or HANDS
+        grasps = {name: find_grasp(Hand.load(name), Body.solid(Sphere(0.03), mass=0.05), friction=0.7) for name in hands}
         scenes = {name: build_scene(grasp) for name, grasp in grasps.items()}
         for number in range(options.moves):
-            for name in HANDS:
+            for name in hands:
                 if (name, number) not in done:
                     record = run_move(grasps[name], scenes[name], number, timed[name] < options.free)
                     timed[name] += record.free_seconds > 0.0

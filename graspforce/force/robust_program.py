@@ -29,6 +29,7 @@ from graspforce.force.status import Status
 
 STRICT = SLIP_TOLERANCE  # force units: added to the slip margin, so that rounding makes no contact slip
 _ROUNDS = 3  # of the search for members of the set that bound the cost from below
+_LARGEST = 1e100  # of a solver's numbers: the squares of larger ones overflow
 _TOLERANCE = 1e-11  # of the solver: the residuals of the certificate are relative to rows with several terms
 
 
@@ -232,7 +233,7 @@ def _violations(sizes: ConeSizes, values: Array, free: bool) -> Array:
 def _certify(rows: ConeRows, result: SparseConicResult) -> Certificate:
     """Return the certificate of an optimum, from the rows and the numbers alone."""
     x, z = result.x, result.z
-    if not (np.isfinite(x).all() and np.isfinite(z).all()) or result.status is not Status.OPTIMAL:
+    if result.status is not Status.OPTIMAL or not np.abs(np.concatenate([x, z])).max() < _LARGEST:  # NaN fails, too
         return Certificate.from_residuals(1.0, 1.0, 1.0)
     Px = rows.P @ x
     primal = float(_violations(rows.sizes, rows.b - rows.A @ x, free=False).max(initial=0.0))
@@ -244,11 +245,16 @@ def _certify(rows: ConeRows, result: SparseConicResult) -> Certificate:
     return Certificate.from_residuals(primal, dual / (1.0 + abs(cost)), gap / (1.0 + abs(cost)))
 
 
+def _unit_ray(result: SparseConicResult) -> Array:
+    """Return the ray of the dual, with a largest entry of 1: only its direction has a meaning."""
+    return np.asarray(result.z / (float(np.abs(result.z).max(initial=0.0)) or 1.0))
+
+
 def _certify_infeasibility(rows: ConeRows, result: SparseConicResult) -> Certificate:
     """Return the certificate that a program has no feasible point, from a ray of its dual."""
-    z = result.z
-    if not np.isfinite(z).all():
+    if not np.isfinite(result.z).all():
         return Certificate(False, 0.0, 0.0, 0.0, INFEASIBILITY_TOLERANCE)
+    z = _unit_ray(result)
     terms = rows.b * z
     largest = float(np.abs(terms).max(initial=0.0)) or 1.0
     value = -float(terms.sum()) / largest
@@ -273,10 +279,9 @@ def _failure(
 
 def _no_squeeze(robust: RobustSet, result: SparseConicResult) -> Infeasibility:
     """Return the explanation of an infeasible robust program."""
-    program = robust.program
-    multipliers = program.multipliers(
-        -result.z[: len(program.b)], np.maximum(result.z[len(program.b) : len(program.b) + len(program.d)], 0.0)
-    )
+    program, z = robust.program, _unit_ray(result)
+    e = len(program.b)
+    multipliers = program.multipliers(-z[:e], np.maximum(z[e : e + len(program.d)], 0.0))
     return _explained(multipliers, robust, "No squeeze within the limits holds for all errors of the set.")
 
 

@@ -15,6 +15,7 @@ from support.random_problems import inner_forces, random_actuation, random_conta
 import graspforce as gf
 from benchmarks.robust_samples import sample
 from graspforce.core.errors import InvalidInput
+from graspforce.force import robust_program
 from graspforce.force.robust_set import RobustSet
 from graspforce.force.uncertainty import Uncertainty
 
@@ -326,3 +327,26 @@ def test_objectives_and_cones_that_have_no_meaning_with_errors_are_refused():
         gf.ForceProblem(contacts, np.zeros(6), objective=gf.Objective("margin"), uncertainty=Uncertainty())
     with pytest.raises(InvalidInput, match="outer pyramids allow slip"):
         gf.ForceProblem(contacts, np.zeros(6), cone=gf.Cone("pyramid", 8, "outer"), uncertainty=Uncertainty())
+
+
+def test_ray_proves_infeasibility_whatever_its_length(monkeypatch):
+    """Numbers of a diverging solver may be so large that their squares overflow."""
+    contacts = [gf.Contact([0, y, 0], [0, -np.sign(y), 0], 0.5, max_normal=2.5) for y in (-0.03, 0.03)]
+    problem = with_errors(gf.ForceProblem(contacts, [0, 0, 2.0, 0, 0, 0]), mass_error=0.3)
+    solved = robust_program._solve
+    for length in (1e-150, 1.0, 1e160):
+        monkeypatch.setattr(robust_program, "_solve", lambda *args, c=length: stretched(solved(*args), c))
+        solution = gf.solve(problem)
+        assert solution.status is gf.Status.INFEASIBLE
+        assert solution.certificate.verified
+
+
+def test_solver_that_diverges_yields_no_forces(monkeypatch):
+    solved = robust_program._solve
+    monkeypatch.setattr(robust_program, "_solve", lambda *args: stretched(solved(*args), 1e160))
+    assert not gf.solve(ring(friction_error=0.2)).found
+
+
+def stretched(result, length):
+    """Return a solver's result with its numbers multiplied by a length."""
+    return dataclasses.replace(result, x=length * result.x, z=length * result.z)

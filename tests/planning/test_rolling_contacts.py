@@ -194,7 +194,7 @@ def test_contacts_between_knots_are_where_tips_touch_with_their_velocities(plan:
     assert at.R_OC[..., 2] == pytest.approx(-at.p_OC / RADIUS, abs=1e-6)
     assert at.R_OC.swapaxes(-1, -2) @ at.R_OC == pytest.approx(np.tile(AXES, (*at.p_OC.shape[:2], 1, 1)), abs=1e-12)
     for end in (0, -1):
-        assert np.abs(plan.knots.p_OC_d[end]).max() == 0.0
+        assert np.abs(plan.knots.p_OC_d[end]).max() < 1e-12  # m/s: a row that the solver meets to rounding
 
 
 def test_check_finds_contacts_that_slip() -> None:
