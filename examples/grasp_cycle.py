@@ -12,7 +12,8 @@ from graspforce.simulation import World
 from graspforce.simulation.cycle.cycle_outcome import judge_cycle, phase_table
 from graspforce.simulation.cycle.cycle_plots import plot_cycle
 from graspforce.simulation.cycle.cycle_run import TablePlant, run_cycle
-from graspforce.simulation.cycle.plan_cycle import displaced_pose, find_cycle
+from graspforce.simulation.cycle.plan_cycle import find_cycle
+from graspforce.simulation.cycle.pose_errors import displaced_pose
 
 hand = gf.Hand.load("dlr_hit2")
 scene, plan = find_cycle(hand, gf.Body.solid(Cylinder(0.025, 0.08), 0.1))

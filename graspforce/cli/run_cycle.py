@@ -161,7 +161,7 @@ def _find(options: CycleOptions, console: Console) -> tuple[TableScene, CyclePla
 
         def on_seed(seed: int, fault: str) -> None:
             if fault:
-                status.update(f"Searching: the grasp of seed {seed} allows no cycle")
+                status.update(f"Searching: the grasp of seed {seed} is not good enough")
 
         motion = CycleMotion(options.lift, (options.move[0], options.move[1]))
         scene, plan = find_cycle(

@@ -21,6 +21,7 @@ from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.phases.phase_step import FeedbackController, PhaseCommand, PhaseRecord, PhaseTorques
 from graspforce.control.phases.phase_times import check_times, opening_time
 from graspforce.control.phases.release_phase import ReleasePhase
+from graspforce.control.phases.slipped_finger import shift_of_slip
 from graspforce.control.phases.touched_grasp import pose_from_touch, touch_gaps, touched_grasp
 from graspforce.control.settings import ControlSettings
 from graspforce.core.arrays import Array, freeze
@@ -205,14 +206,21 @@ class PhaseController:
             return
         self._message = f"{self.phase}: {reason}"
         self._record(t, reason, True)
-        shift = np.zeros(3)
-        if isinstance(self._active, SqueezePhase):  # the touched places fit the object, so they show where it is
-            shift = self._active.target.pose.p_HO - self.plan.grasp.p_HO
-            shift = shift - (shift @ self.plan.down) * self.plan.down
+        shift = self._shift(servo) if isinstance(self._active, SqueezePhase) else np.zeros(3)
         self.phase, self._phase_start, self.grasp = "reopen", t, self.plan.grasp
         self._held = self._closing = None
         opening = self._joint_phase(self._opening(servo.q), BaseMotion.at_rest(base.p))
         self._active = ReopenPhase(self.grasp.hand, opening, shift)
+
+    def _shift(self, servo: ServoStep) -> Array:
+        """Return how far the object of a failed squeeze is from where it is expected, (3,) m along the table."""
+        assert isinstance(self._active, SqueezePhase)
+        down = self.plan.down
+        slip = shift_of_slip(self.grasp, servo.p_tip, down, self.settings.contact_tolerance)
+        if slip is not None:
+            return slip
+        shift = self._active.target.pose.p_HO - self.plan.grasp.p_HO  # the touched places fit the object
+        return np.asarray(shift - (shift @ down) * down)
 
     def _stop(self, t: float, reason: str, q: Array, base: BaseMotion) -> None:
         """End the cycle with the safe stop of the present phase, at the present posture and motion of the base."""

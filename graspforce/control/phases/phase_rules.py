@@ -49,6 +49,7 @@ PHASE_ORDER: tuple[PhaseName, ...] = ("approach", "close", "squeeze", "lift", "m
 
 RETRIED: tuple[tuple[PhaseName, str], ...] = (
     ("close", WRONG_OBJECT),
+    ("close", TIME_LIMIT),
     ("squeeze", NO_FORCES),
     ("squeeze", LOST_CONTACT),
     ("squeeze", MOVED),

@@ -100,6 +100,20 @@ def touched_grasp(grasp: Grasp, q: Array, p_tip: Array, pose: tuple[Array, Array
     return replace(grasp, contacts=ContactSet.stack(contacts), q=q, p_HO=p_HO, R_HO=R_HO)
 
 
+def surface_distances(grasp: Grasp, pose: tuple[Array, Array], points: Array) -> Array:
+    """Return signed distances (N,) of points from the object's surface, m; negative inside.
+
+    Args:
+        grasp: the grasp with the object.
+        pose: p_HO (3,) and R_HO (3, 3) of the object.
+        points: (N, 3) points, in H, m.
+
+    Raises:
+        InvalidInput: the object has no shape.
+    """
+    return _distances(_surface(grasp), *pose, points)
+
+
 def touch_gaps(grasp: Grasp, p_tip: Array) -> Array:
     """Return the distances (N,) between the fingertips' surfaces and the object's, m; negative in penetration.
 
@@ -110,9 +124,8 @@ def touch_gaps(grasp: Grasp, p_tip: Array) -> Array:
     Raises:
         InvalidInput: the object has no shape.
     """
-    shape = _surface(grasp)
     radii = np.array([grasp.hand.finger(name).tip_radius or 0.0 for name in grasp.fingers])  # m
-    return np.asarray(_distances(shape, grasp.p_HO, grasp.R_HO, p_tip) - radii)
+    return np.asarray(surface_distances(grasp, (grasp.p_HO, grasp.R_HO), p_tip) - radii)
 
 
 def contact_shifts(planned: Grasp, touched: Grasp) -> tuple[Array, Array]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from graspforce.core.arrays import Array
-from graspforce.core.errors import InvalidInput
 from graspforce.force.solver import solve
-from graspforce.planning.failure import SINGULAR, UNREACHABLE, PlanFailure
+from graspforce.planning.failure import SINGULAR, PlanFailure
+from graspforce.planning.free.touching_posture import EndPosture, find_touching_posture
 from graspforce.planning.loads import with_torques
-from graspforce.planning.path.joint_path import reach_error_text, start_posture
+from graspforce.planning.path.joint_path import start_posture
 from graspforce.planning.path.knots import PathKnots
 from graspforce.planning.path.paths import JointPath, StraightPath
 from graspforce.planning.path.static_check import find_static_failure
@@ -40,33 +40,38 @@ def guess_from_end_poses(
     u = np.linspace(0.0, 1.0, intervals + 1)
     s, s_d, s_dd = u**3 * (10 - 15 * u + 6 * u**2), 30 * u**2 * (1 - u) ** 2, 60 * u * (1 - u) * (1 - 2 * u)
     T = _MIN_DURATION
+    held: tuple[int, ...] = (0, -1)
     if isinstance(task, IdealTask):
         knots = PathKnots.of_ideal_fingers(task, path, s)
     else:
         ends = _end_postures(task, path, q_start)
         if isinstance(ends, PlanFailure):
             return ends
-        knots = PathKnots.of_grasp(task, path, JointPath.straight(*ends), s)
-        speed_shares = np.abs(ends[1] - ends[0]) / (_GUESS_SPEED * task.hand.velocity_limit)  # s
+        first, last = ends
+        held = (0, -1) if last.at_contacts else (0,)  # contacts that roll elsewhere depend on the way
+        knots = PathKnots.of_grasp(task, path, JointPath.straight(first, last.q), s)
+        speed_shares = np.abs(last.q - first) / (_GUESS_SPEED * task.hand.velocity_limit)  # s
         T = max(T, float(speed_shares.max() * s_d.max()))
-    failure = find_static_failure(task, knots, (0, -1))
+    failure = find_static_failure(task, knots, held)
     if failure is not None:
         return failure
     f = solve(task.static_problem(knots.poses.p[0], knots.poses.R[0], knots.joints.q[0]), explain=False).f
     return _states(task, knots, f, T, (u, s_d, s_dd))
 
 
-def _end_postures(task: GraspTask, path: StraightPath, q_start: Array | None) -> tuple[Array, Array] | PlanFailure:
-    """Return the postures (n,) at start and goal, rad, or the reason why there is none."""
+def _end_postures(task: GraspTask, path: StraightPath, q_start: Array | None) -> tuple[Array, EndPosture] | PlanFailure:
+    """Return the posture (n,) at the start, rad, and that at the goal, or the reason why there is none."""
     first = start_posture(task, path, q_start)
     if isinstance(first, PlanFailure):
         return first
     goal = path.points(np.ones(1))
-    try:
-        last = np.array(task.hand.grasp_posture(task.fingers, task.contacts, goal.p[0], goal.R[0], first))
-    except InvalidInput as error:
-        return PlanFailure(UNREACHABLE, f"At the goal, {reach_error_text(task, error)}", 1.0)
-    return _singular_finger(task, first, "start", 0.0) or _singular_finger(task, last, "goal", 1.0) or (first, last)
+    last = find_touching_posture(task, goal.p[0], goal.R[0], first)
+    if isinstance(last, PlanFailure):
+        return last
+    failure = _singular_finger(task, first, "start", 0.0)
+    if failure is None and last.at_contacts:
+        failure = _singular_finger(task, last.q, "goal", 1.0)
+    return failure or (first, last)
 
 
 def _states(task: ObjectTask, knots: PathKnots, f: Array, T: float, profile: tuple[Array, Array, Array]) -> Trajectory:

@@ -18,7 +18,7 @@ from graspforce.estimation.sensor_model import SensorModel
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.drives.joint_friction import JointFriction
 from graspforce.simulation.cycle.cycle_run import CycleController, CycleRecording, StepCallback, TablePlant, run_cycle
-from graspforce.simulation.cycle.plan_cycle import displaced_pose
+from graspforce.simulation.cycle.pose_errors import displaced_pose
 from graspforce.simulation.cycle.rest import resting_pose
 from graspforce.simulation.cycle.table_scene import TableScene
 from graspforce.simulation.worlds.world import World

@@ -7,13 +7,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from graspforce.control.joints.joint_trajectory import JointTrajectory
 from graspforce.control.phases.cycle_plan import CyclePlan
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.phases.tip_motion import opened_posture
-from graspforce.control.phases.touched_grasp import pose_on_table
 from graspforce.control.settings import ControlSettings
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
@@ -28,18 +26,18 @@ from graspforce.planning.failure import PlanFailure
 from graspforce.planning.moves.fingers_move import FingersMove
 from graspforce.planning.task import FingerTask
 from graspforce.simulation.cycle.cycle_checks import check_size, check_weight
+from graspforce.simulation.cycle.pose_errors import count_missed_faces, extreme_poses
 from graspforce.simulation.cycle.table_scene import TableScene, find_table_grasp, hand_clearance
 
 SeedCallback = Callable[[int, str], None]
 
+_MORE_TRIES = 8  # after the first grasp that allows a cycle
 _TRIES = ((1.0, 8), (0.4, 16))  # least distances of contacts from edges over the tip radius, and seeds that are tried with each
 _OPEN_DISTANCE = 0.05  # m: distance of the fingertips from the contacts in the start posture
 _LEAST_CLEARANCE = 0.0005  # m, of links, palm, object and table
 _STANDOFF_SHARES = (1.0, 1.25, 1.5, 0.85, 0.7)  # of the stand-off distance, that are tried in turn
 _STARTS, _START_SPREAD = 40, 0.15  # random start postures that are tried, and their spread as a part of each joint's range
 _LEAST_WAY = 0.03  # of its range: way of the joint that moves furthest in the approach
-_LARGEST_ERROR, _LARGEST_TURN = 0.01, math.radians(10.0)  # m and rad, of the object's pose, at which nothing touches yet
-_DIRECTIONS = 8  # of the displacement
 _CHECKED_POSTURES = 20  # of an optimised approach
 _JOINT_SPEED = 0.5  # rad/s: mean rate of the fastest joint in the approach
 _LEAST_TIME = 0.8  # s, of the approach
@@ -123,11 +121,7 @@ def _least_gap(scene: TableScene, q: Array) -> float:
 
     The object is at its expected pose, and displaced and turned by the largest error of that pose.
     """
-    grasp = scene.grasp
-    poses = [(grasp.p_HO, grasp.R_HO)]
-    for direction in np.linspace(0.0, 2.0 * math.pi, _DIRECTIONS, endpoint=False):
-        offset = _LARGEST_ERROR * np.array([math.cos(direction), math.sin(direction)])
-        poses += [displaced_pose(scene, offset, turn) for turn in (-_LARGEST_TURN, _LARGEST_TURN)]
+    grasp, poses = scene.grasp, extreme_poses(scene)
     rows = np.repeat(q[None], len(poses), axis=0)
     collision = SceneCollision(grasp.hand, grasp.body.shape)
     gap = collision.least_gap_along(rows, np.array([p for p, _ in poses]), np.array([R for _, R in poses]))
@@ -157,17 +151,6 @@ def _obstacles(scene: TableScene) -> tuple[Obstacle, ...]:
     return (scene.table,)
 
 
-def displaced_pose(scene: TableScene, offset: npt.ArrayLike, angle: float) -> tuple[Array, Array]:
-    """Return the object's pose after a displacement along the table and a rotation about the vertical through O's origin.
-
-    Args:
-        scene: the scene.
-        offset: (2,) displacement along the table, m.
-        angle: rotation about the vertical, rad.
-    """
-    return pose_on_table(scene.grasp, scene.down, offset, angle)
-
-
 def find_cycle(
     hand: Hand,
     body: Body,
@@ -180,9 +163,11 @@ def find_cycle(
     control: ControlSettings | None = None,
     on_seed: SeedCallback = lambda seed, message: None,
 ) -> tuple[TableScene, CyclePlan]:
-    """Find a grasp of an object on a table, and plan its cycle: the first of some seeds of `find_grasp` that allows one.
+    """Find a grasp of an object on a table, and plan its cycle, with seeds of `find_grasp` in turn.
 
-    Contacts are at least a tip radius from the edges of the object's faces for 8 seeds, then 40 % of it for 16 seeds.
+    Contacts are at least a tip radius from the edges of the object's faces for 8 seeds, then 40 % of it for 16 seeds. The first
+    grasp whose fingers touch their faces wherever the object may be is used: displaced by 10 mm and turned by 10°. If there is
+    none among the 9 seeds from the first that allows a cycle, it is the one that misses a face at the fewest of these poses.
 
     Args:
         hand: the hand.
@@ -194,14 +179,15 @@ def find_cycle(
         motion: motion of the hand.
         control: settings of the object controller, whose gravity does not count: the grasp must hold the largest weight with
             the least friction that they assume. Default: `ControlSettings()`.
-        on_seed: called with each seed, and what its grasp lacks; with an empty text for the one that is used.
+        on_seed: called with each seed, and what its grasp lacks; with an empty text if it lacks nothing.
 
     Raises:
         InvalidInput: the object is too wide for the hand, or no grasp of these seeds allows a cycle; gives the fault of the
             last one.
     """
     check_size(hand, body, friction)
-    fault = ""
+    travel = (settings or PhaseSettings()).largest_travel  # m
+    fault, best, fewest, more = "", None, math.inf, _MORE_TRIES
     tries = [(seed + k, ratio) for ratio, count in _TRIES for k in range(count)]
     for each, ratio in tries:
         try:
@@ -211,9 +197,16 @@ def find_cycle(
         except InvalidInput as error:
             fault = str(error)
             on_seed(each, fault)
-            continue
-        on_seed(each, "")
-        return scene, plan
+        else:
+            missed = count_missed_faces(scene, plan.standoff, travel)
+            on_seed(each, f"fingers miss their faces at {missed} extreme poses of the object" if missed else "")
+            if missed < fewest:
+                best, fewest = (scene, plan), missed
+        more -= best is not None
+        if fewest == 0 or more < 0:
+            break
+    if best is not None:
+        return best
     name = type(body.shape).__name__
     allowed = f"an object that {hand.name} can pick from a table; the last of {len(tries)} grasps: {fault}"
     raise InvalidInput("body", name, allowed)

@@ -32,6 +32,7 @@ from graspforce.simulation.plants.link_geoms import collision_names, read_collis
 from graspforce.simulation.plants.plant_interface import TrueContacts
 from graspforce.simulation.plants.preload import preload_contacts
 from graspforce.simulation.plants.scene import Scene, set_posture
+from graspforce.simulation.plants.scene_parts import FLOOR, OBJECT
 from graspforce.simulation.plants.surface_contacts import update_forces
 from graspforce.simulation.plants.tendon_parts import Clutches, find_free_differentials
 
@@ -237,7 +238,8 @@ class Plant:
         """Move the base of the hand relative to the floor, from the next step on.
 
         The world frame of the plant stays H: the floor moves by −d, and gravity becomes g − a, with the base's acceleration a.
-        The base does not rotate.
+        The base does not rotate. The engine's floor has no velocity that its friction could transfer. So an object that touches
+        nothing else moves with it, as static friction would make it.
 
         Args:
             displacement: (3,) d, of the base from its place at the reset, in H, m.
@@ -251,8 +253,12 @@ class Plant:
         d = arrays.check_array(displacement, "displacement", (3,))
         body = int(self.model.geom_bodyid[self.scene.floor_geom])
         mocap = int(self.model.body_mocapid[body])
+        place = self.model.body_pos[body] - d
+        if self._rests_on_floor():
+            a = self.scene.object_q_address
+            self.data.qpos[a : a + 3] += place - self.data.mocap_pos[mocap]
         for data in (self.data, self._next_data):
-            data.mocap_pos[mocap] = self.model.body_pos[body] - d
+            data.mocap_pos[mocap] = place
         self.model.opt.gravity[:] = self.scene.gravity_H - arrays.check_array(acceleration, "acceleration", (3,))
 
     def set_gear_friction(self, friction: npt.ArrayLike) -> None:
@@ -278,6 +284,12 @@ class Plant:
     def true_contacts(self) -> TrueContacts:
         """Return the contacts of the last step."""
         return self._true_contacts
+
+    def _rests_on_floor(self) -> bool:
+        """Return whether the floor is all that touches the object."""
+        contacts = self._true_contacts
+        others = [{each.first, each.second} - {OBJECT} for each in contacts.collisions if OBJECT in (each.first, each.second)]
+        return bool(others) and not contacts.touching.any() and all(other == {FLOOR} for other in others)
 
     # ── contacts ───────────────────────────────────────────────────────────────────────────────────────────────────────────
 

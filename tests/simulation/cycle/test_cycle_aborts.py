@@ -13,7 +13,8 @@ from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.estimation.measurement import Measurement
 from graspforce.grasp.body import Body
 from graspforce.simulation.cycle.cycle_run import CycleRecording, TablePlant, run_cycle
-from graspforce.simulation.cycle.plan_cycle import CycleMotion, displaced_pose, plan_cycle
+from graspforce.simulation.cycle.plan_cycle import CycleMotion, plan_cycle
+from graspforce.simulation.cycle.pose_errors import displaced_pose
 from graspforce.simulation.cycle.table_scene import TableScene
 from graspforce.simulation.worlds.world import World
 from tests.support.table_scenes import ball_scene

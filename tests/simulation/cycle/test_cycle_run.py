@@ -13,7 +13,8 @@ from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.phases.phase_step import PhaseCommand
 from graspforce.simulation.cycle.cycle_outcome import judge_cycle, phase_table
 from graspforce.simulation.cycle.cycle_run import CycleRecording, TablePlant, run_cycle
-from graspforce.simulation.cycle.plan_cycle import CycleMotion, displaced_pose, plan_cycle
+from graspforce.simulation.cycle.plan_cycle import CycleMotion, plan_cycle
+from graspforce.simulation.cycle.pose_errors import displaced_pose
 from graspforce.simulation.worlds.world import World
 from tests.support.table_scenes import MASS, ball_scene
 

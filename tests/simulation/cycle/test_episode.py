@@ -8,7 +8,7 @@ import pytest
 from graspforce.control.settings import ControlSettings
 from graspforce.geometry import Box, Cylinder, Sphere
 from graspforce.simulation.cycle.episode import PoseError, known_scene
-from graspforce.simulation.cycle.plan_cycle import displaced_pose
+from graspforce.simulation.cycle.pose_errors import displaced_pose
 from graspforce.simulation.cycle.table_scene import rest_faces
 from graspforce.simulation.worlds.world import World
 from tests.support.table_scenes import ball_scene

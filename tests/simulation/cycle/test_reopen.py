@@ -18,7 +18,8 @@ from graspforce.estimation.sensor_model import SensorModel
 from graspforce.grasp.grasp import Grasp
 from graspforce.simulation.cycle.cycle_outcome import judge_cycle, phase_table
 from graspforce.simulation.cycle.cycle_run import CycleRecording, TablePlant, run_cycle
-from graspforce.simulation.cycle.plan_cycle import CycleMotion, displaced_pose, plan_cycle
+from graspforce.simulation.cycle.plan_cycle import CycleMotion, plan_cycle
+from graspforce.simulation.cycle.pose_errors import displaced_pose
 from graspforce.simulation.worlds.world import World
 from tests.support.table_scenes import ball_scene
 
