@@ -10,7 +10,8 @@ checks. A claim that every motion collides is confirmed if MuJoCo finds the obje
 Some moves are planned by `plan_free`, too, with and without collision checks; the times are those of the second of two runs.
 
 Refusals of `plan_free` claim that no motion exists, unless they say that their search proves nothing. For each such claim a
-random tree of poses searches a motion with rolling contacts and without collisions; it ignores forces.
+random tree of poses searches a motion with rolling contacts and without collisions; it ignores forces. These moves are 5 to
+80 mm long: in shorter ones, a fingertip mostly reaches some place on the object, and the planner claims nothing.
 """
 
 from __future__ import annotations
@@ -47,6 +48,7 @@ HANDS = ("four_finger", "allegro_right", "dlr_hit2", "shadow_right", "leap_right
 INSTANTS = 20  # in each interval
 SETTINGS = PlanSettings(intervals=40)
 TOLERANCE = 1e-4  # m: largest penetration of a plan
+LONGEST_REFUSED = 0.08  # m, of the moves whose refusals are checked
 CLAIMS = (COLLISION, UNREACHABLE, SINGULAR, UNHOLDABLE, OVERLOADED, IMMOVABLE)  # kinds that exclude every motion
 
 
@@ -98,17 +100,18 @@ class RefusalRecord:
     samples: int
 
 
-def random_goal(grasp: Grasp, number: int) -> StraightPath:
+def random_goal(grasp: Grasp, number: int, longest: float = 0.04) -> StraightPath:
     """Return the path of a numbered move.
 
     Args:
         grasp: the grasp in which it starts.
         number: number of the move.
+        longest: its largest length, m.
     """
     rng = np.random.default_rng(number)
     direction, axis = (x / np.linalg.norm(x) for x in rng.normal(size=(2, 3)))
     turn = Rotation.from_rotvec(np.radians(rng.uniform(0.0, 20.0)) * axis).as_matrix()
-    return StraightPath(grasp.p_HO, grasp.R_HO, grasp.p_HO + rng.uniform(0.005, 0.04) * direction, turn @ grasp.R_HO)
+    return StraightPath(grasp.p_HO, grasp.R_HO, grasp.p_HO + rng.uniform(0.005, longest) * direction, turn @ grasp.R_HO)
 
 
 def deepest(scene: Scene, plan: Plan, times: Array, palm_only: bool = False) -> float:
@@ -192,7 +195,7 @@ def check_refusal(grasp: Grasp, number: int, samples: int) -> RefusalRecord | No
         samples: edges that the search tries.
     """
     task = GraspTask(grasp.hand, grasp.body, grasp.contacts, grasp.fingers)
-    ends = random_goal(grasp, number).points(np.array([0.0, 1.0]))
+    ends = random_goal(grasp, number, LONGEST_REFUSED).points(np.array([0.0, 1.0]))
 
     def until_the_search(now: Progress) -> bool:
         return now.stage != SEARCH

@@ -48,15 +48,20 @@ from graspforce.view.figures import save_figures
 TITLE = "Finger gaiting"
 PICTURES = Path("benchmarks/results/gaiting")  # of margins and errors, one a case
 SCHEMA = "graspforce/gaiting/1"
-HANDS = ("four_finger", "allegro_right", "leap_right")
+HANDS = ("four_finger", "allegro_right", "allegro_left", "leap_right")
 MASS = 0.05  # kg
 FRICTION = 0.8
 CONTROL = ControlSettings(slip_margin=0.05)
 CLEARANCE = 0.0005  # m: of links, palm and object in plans; the execution is off by hundredths of a millimetre
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-BALL_RADII = {"four_finger": 0.03, "allegro_right": 0.035, "leap_right": 0.035}  # m
-BOX_WIDTHS = {"four_finger": 0.054, "allegro_right": 0.056, "leap_right": 0.056}  # m: narrower ones are out of reach
-OWN_AXES = {"four_finger": "z", "allegro_right": "y", "leap_right": "y"}  # of cylinder and box in H
+BALL_RADII = {"four_finger": 0.03, "allegro_right": 0.035, "allegro_left": 0.035, "leap_right": 0.035}  # m
+BOX_WIDTHS = {
+    "four_finger": 0.054,
+    "allegro_right": 0.056,
+    "allegro_left": 0.056,
+    "leap_right": 0.056,
+}  # m: narrower ones are out of reach
+OWN_AXES = {"four_finger": "z", "allegro_right": "y", "allegro_left": "y", "leap_right": "y"}  # of cylinder and box in H
 
 
 @dataclass(frozen=True, slots=True)

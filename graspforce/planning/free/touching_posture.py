@@ -36,7 +36,7 @@ def find_touching_posture(task: GraspTask, p_HO: Array, R_HO: Array, q_start: Ar
     """Return a posture in which every fingertip touches the object.
 
     A tip that rolls may touch elsewhere at the goal, depending on the way. So if its contact is out of reach, the tip touches
-    the surface as near to the contact as it can.
+    the surface of the object's shape as near to the contact as it can.
 
     Args:
         task: the task; its fingers share no joints.
@@ -45,14 +45,15 @@ def find_touching_posture(task: GraspTask, p_HO: Array, R_HO: Array, q_start: Ar
         q_start: (n,) posture to start from, rad.
 
     Returns:
-        The posture, or the failure of a fingertip that touches the object nowhere, or not at its contact if it does not roll.
+        The posture, or the failure of a fingertip that touches the object nowhere. A tip that does not roll, or an object
+        without a shape, must have the contact within reach.
     """
     q, at_contacts = np.array(q_start), True
     for i, finger in enumerate(task.fingers):
         try:
             q = np.array(task.hand.grasp_posture([finger], ContactSet.stack([task.contacts.contacts[i]]), p_HO, R_HO, q))
         except InvalidInput as error:
-            if not task.is_rolling[i]:
+            if not task.is_rolling[i] or task.body.shape is None:  # without a shape, the surface is known at the contacts only
                 return PlanFailure(UNREACHABLE, f"At the goal, the contact of {finger} must be {error.allowed}.", 1.0)
             found = _nearest_touch(task, i, (p_HO, R_HO), q)
             if found is None:
@@ -90,8 +91,7 @@ def _nearest_touch(task: GraspTask, i: int, pose: tuple[Array, Array], q: Array)
 
 def _height(task: GraspTask, i: int, p_OF: Array) -> float:
     """Return the signed distance of the centre (3,) of tip i from the surface, m; negative inside."""
+    shape = task.body.shape
+    assert shape is not None  # checked before the search
     centres = np.tile(p_OF, (1, len(task.fingers), 1))
-    across = p_OF - closest_points(task, centres)[0, i]
-    if task.body.shape is None:  # a plane at the contact
-        return float(-across @ task.contacts.R_OC[i, :, 2])
-    return float(np.copysign(np.linalg.norm(across), task.body.shape.phi(p_OF)))
+    return float(np.copysign(np.linalg.norm(p_OF - closest_points(task, centres)[0, i]), shape.phi(p_OF)))

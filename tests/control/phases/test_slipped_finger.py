@@ -16,7 +16,7 @@ from graspforce.hand.hand import Hand
 
 DOWN = np.array([0.0, 0.0, -1.0])
 TOLERANCE = 4e-3  # m
-PLACES = ((0.0, 0.015, 0.0), (0.0, -0.015, 0.0), (0.0, 0.004, 0.0))  # m along y, of two fingers on a face and one on the opposite
+PLACES = ((0.0, 0.015, 0.0), (0.0, -0.015, 0.0), (0.0, 0.004, 0.0))  # m, of two fingers on a face and one opposite
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,8 @@ def grasp() -> Grasp:
     """Return three fingers on the faces of a box across x; the posture defines where the tips were at the touch."""
     hand = Hand.load("allegro_right")
     signs = (1.0, 1.0, -1.0)
-    contacts = [Contact(np.array(p) - 0.02 * s * np.eye(3)[0], s * np.eye(3)[0], 0.6) for p, s in zip(PLACES, signs, strict=True)]
+    x = np.eye(3)[0]
+    contacts = [Contact(np.array(p) - 0.02 * s * x, s * x, 0.6) for p, s in zip(PLACES, signs, strict=True)]
     q = hand.neutral
     p_HO = np.mean([hand.tip_pose(q, name)[0] for name in ("index", "middle")], axis=0)
     fingers = ("index", "middle", "thumb")
@@ -42,7 +43,7 @@ def moved(grasp: Grasp, runs) -> np.ndarray:
 
 def test_object_that_moves_with_all_fingers_is_no_slip(grasp):
     for x in (-0.02, -0.005, 0.0, 0.005, 0.02):
-        assert shift_of_slip(grasp, touched(grasp) + [x, 0.0, 0.0], DOWN, TOLERANCE) is None
+        assert shift_of_slip(grasp, touched(grasp) + np.array([x, 0.0, 0.0]), DOWN, TOLERANCE) is None
 
 
 @pytest.mark.parametrize("finger", [0, 1])
@@ -61,7 +62,7 @@ def test_finger_that_runs_alone_shifts_the_object_to_the_side_of_its_middle(gras
 def test_slip_does_not_depend_on_a_translation_of_the_object(grasp):
     runs = np.array([0.015, 0.0, 0.0])
     first = shift_of_slip(grasp, moved(grasp, runs), DOWN, TOLERANCE)
-    second = shift_of_slip(grasp, moved(grasp, runs) + [0.003, 0.0, 0.0], DOWN, TOLERANCE)
+    second = shift_of_slip(grasp, moved(grasp, runs) + np.array([0.003, 0.0, 0.0]), DOWN, TOLERANCE)
     np.testing.assert_allclose(first, second, rtol=0, atol=1e-12)
 
 
@@ -70,5 +71,5 @@ def test_small_runs_are_no_slip(grasp):
 
 
 def test_finger_at_the_middle_shows_no_side(grasp):
-    centred = replace(grasp, p_HO=grasp.p_HO + [0.0, touched(grasp)[0, 1] - grasp.p_HO[1], 0.0])
+    centred = replace(grasp, p_HO=grasp.p_HO + np.array([0.0, touched(grasp)[0, 1] - grasp.p_HO[1], 0.0]))
     assert shift_of_slip(centred, moved(centred, [0.015, 0.0, 0.0]), DOWN, TOLERANCE) is None
