@@ -1,8 +1,9 @@
 """Finger gaiting: objects turn by 360° in hands whose fingers step.
 
-A ball turns about each of three axes, a cylinder and a box about their own. A finger steps while the others hold. A start grasp
-is searched, then the sequence of object moves and finger steps. Each plan is executed in closed loop in MuJoCo, with the
-contacts changed in the running controller. The seeds of the searches are tried in order until the turn is complete.
+A ball turns about each of three axes, a cylinder and a box about their own. These are along y of H; in the hand four_finger, the
+cylinder's is along z and the box's along x. A finger steps while the others hold. A start grasp is searched, then the sequence
+of object moves and finger steps. Each plan is executed in closed loop in MuJoCo, with the contacts changed in the running
+controller. The seeds of the searches are tried in order until the turn is complete.
 
 The controller keeps a slip margin of 0.05 N with objects of 50 g and μ = 0.8. *uncertified* counts the control steps without a
 certified solution. The planned margin is the least slip margin of the fingers that neither let go nor join. *apart* is the
@@ -61,7 +62,8 @@ BOX_WIDTHS = {
     "allegro_left": 0.056,
     "leap_right": 0.056,
 }  # m: narrower ones are out of reach
-OWN_AXES = {"four_finger": "z", "allegro_right": "y", "allegro_left": "y", "leap_right": "y"}  # of cylinder and box in H
+CYLINDER_AXES = {"four_finger": "z", "allegro_right": "y", "allegro_left": "y", "leap_right": "y"}  # in H
+BOX_AXES = {"four_finger": "x", "allegro_right": "y", "allegro_left": "y", "leap_right": "y"}  # in H
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,10 +115,10 @@ def tasks(hand: str) -> dict[str, tuple[Solid, str]]:
     Args:
         hand: name of the hand.
     """
-    radius, width, own = BALL_RADII[hand], BOX_WIDTHS[hand], OWN_AXES[hand]
+    radius, width = BALL_RADII[hand], BOX_WIDTHS[hand]
     balls = {f"ball, {axis}": (Sphere(radius), axis) for axis in AXES}
-    others = {"cylinder": Cylinder(radius, 2.0 * radius), "box": Box([width, width, 2.0 * radius])}
-    return {**balls, **{name: (shape, own) for name, shape in others.items()}}
+    cylinder, box = Cylinder(radius, 2.0 * radius), Box([width, width, 2.0 * radius])
+    return {**balls, "cylinder": (cylinder, CYLINDER_AXES[hand]), "box": (box, BOX_AXES[hand])}
 
 
 def orientation(axis: str) -> Array:
