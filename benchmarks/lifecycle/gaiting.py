@@ -1,9 +1,9 @@
 """Finger gaiting: objects turn by 360° in hands whose fingers step.
 
-A ball turns about each of three axes, a cylinder and a box about their own. These are along y of H; in the hand four_finger, the
-cylinder's is along z and the box's along x. A finger steps while the others hold. A start grasp is searched, then the sequence
-of object moves and finger steps. Each plan is executed in closed loop in MuJoCo, with the contacts changed in the running
-controller. The seeds of the searches are tried in order until the turn is complete.
+A ball turns about each of three axes, a cylinder and a box about their own. These are along y of H; in the hand four_finger,
+the cylinder's is along z and the box's along x. A finger steps while the others hold. A start grasp is searched, then the
+sequence of object moves and finger steps. Each plan is executed in closed loop in MuJoCo, with the contacts changed in the
+running controller. The seeds of the searches are tried in order until the turn is complete.
 
 The controller keeps a slip margin of 0.05 N with objects of 50 g and μ = 0.8. *uncertified* counts the control steps without a
 certified solution. The planned margin is the least slip margin of the fingers that neither let go nor join. *apart* is the

@@ -27,6 +27,7 @@ from graspforce.simulation.plants.scene import set_posture
 from graspforce.simulation.plants.scene_parts import OBJECT
 
 _EDGES = 16  # of the pyramid inside a friction cone
+_TILTS = np.radians([0.0, 22.5, -22.5, 45.0, -45.0, 67.5, -67.5])  # of edges inside the ellipsoid of a soft contact
 _LEVER = 0.03  # m: moments count as forces at this lever
 
 
@@ -126,7 +127,12 @@ def _edges(grasp: HandContacts) -> tuple[Array, Array]:
     for i, contact in enumerate(grasp.contacts.contacts):
         R, p, mu = grasp.contacts.R_OC[i], grasp.contacts.p_OC[i], float(contact.friction or 0.0)
         gamma = float(contact.torsional_friction or 0.0) if contact.model is ContactModel.SOFT else 0.0
-        edges = [(mu * np.cos(angle), mu * np.sin(angle), 1.0, 0.0) for angle in angles]
+        tilts = _TILTS if gamma > 0.0 else _TILTS[:1]  # between tangential forces and moments of a soft contact
+        edges = [
+            (mu * np.cos(tilt) * np.cos(angle), mu * np.cos(tilt) * np.sin(angle), 1.0, gamma * np.sin(tilt))
+            for tilt in tilts
+            for angle in angles
+        ]
         edges += [(0.0, 0.0, 1.0, sign * gamma) for sign in (1.0, -1.0) if gamma > 0.0]
         for edge in edges:
             f = R @ edge[:3]

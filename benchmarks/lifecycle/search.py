@@ -6,7 +6,8 @@ after the candidate that it then tries. Cases run in a random order, so that a p
 
 Three checks use no code of the search. MuJoCo finds no penetration above 0.1 mm between links, or between the object and links
 other than those of touching fingertips. The contacts are force-closed by a linear program over pyramids of 16 edges inside the
-friction cones. A second one finds forces within the motors' limits that bear the weight in six directions.
+friction cones, or 114 edges inside the ellipsoids of soft contacts. A second one finds forces within the motors' limits that
+bear the weight in six directions.
 
 The set *any* is the search without a class. Palmar pinch, parallel extension and lateral grasp are those of a thumb; the hand
 four_finger has none. A writing tripod applies to cylinders. Other programs shared the processor, so that times are upper
