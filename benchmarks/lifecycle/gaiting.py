@@ -264,6 +264,6 @@ def _row(result: CaseResult) -> tuple[str, ...]:
     return (
         *start,
         *(str(result.steps), f"{result.simulated:.1f}", f"{result.search:.0f}", f"{1e3 * result.distance:.3f}"),
-        *(f"{np.degrees(result.angle):.3f}", f"{1e3 * result.peak_distance:.3f}", f"{result.margin:.2f}"),
+        *(f"{np.degrees(result.angle):.3f}", f"{1e3 * result.peak_distance:.3f}", f"{round(result.margin, 2) + 0.0:.2f}"),
         *(str(result.uncertified), f"{result.torque_step:.3f}", f"{1e3 * result.clearance:g}", str(result.collisions)),
     )

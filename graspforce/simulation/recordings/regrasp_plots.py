@@ -61,7 +61,7 @@ def plot_regrasp(run: RegraspRun, name: str) -> Figure:
     errors.set_xlim(0.0, run.t[-1])
     moving = np.array([phase is RegraspPhase.STEP for phase in run.phase])
     steps = np.count_nonzero(moving[1:] & ~moving[:-1])
-    least = float(run.planned_margin.min())
+    least = round(float(run.planned_margin.min()), 2) + 0.0  # never -0.00
     figure.suptitle(f"{name}, {steps} finger steps: the planned margin never falls below {least:.2f} N")
     return figure
 
