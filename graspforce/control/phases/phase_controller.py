@@ -206,20 +206,19 @@ class PhaseController:
             return
         self._message = f"{self.phase}: {reason}"
         self._record(t, reason, True)
-        shift = self._shift(servo) if isinstance(self._active, SqueezePhase) else np.zeros(3)
+        shift = self._shift(self._active, servo) if isinstance(self._active, SqueezePhase) else np.zeros(3)
         self.phase, self._phase_start, self.grasp = "reopen", t, self.plan.grasp
         self._held = self._closing = None
         opening = self._joint_phase(self._opening(servo.q), BaseMotion.at_rest(base.p))
         self._active = ReopenPhase(self.grasp.hand, opening, shift)
 
-    def _shift(self, servo: ServoStep) -> Array:
+    def _shift(self, squeeze: SqueezePhase, servo: ServoStep) -> Array:
         """Return how far the object of a failed squeeze is from where it is expected, (3,) m along the table."""
-        assert isinstance(self._active, SqueezePhase)
         down = self.plan.down
         slip = shift_of_slip(self.grasp, servo.p_tip, down, self.settings.contact_tolerance)
         if slip is not None:
             return slip
-        shift = self._active.target.pose.p_HO - self.plan.grasp.p_HO  # the touched places fit the object
+        shift = squeeze.target.pose.p_HO - self.plan.grasp.p_HO  # the touched places fit the object
         return np.asarray(shift - (shift @ down) * down)
 
     def _stop(self, t: float, reason: str, q: Array, base: BaseMotion) -> None:

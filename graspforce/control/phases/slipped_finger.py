@@ -15,16 +15,17 @@ _LEAST_LEVER = 3e-3  # m: distance of the contact from the object's middle, alon
 def shift_of_slip(grasp: Grasp, p_tip: Array, down: Array, tolerance: float) -> Array | None:
     """Return the displacement of the object that explains a slipped fingertip, (3,) m along the table; None without a slip.
 
-    Touches on plane faces do not show where the object is along them. A fingertip near an edge may so touch the edge, and slip
-    off as the forces rise. It then runs along its inward normal while the others hardly move: with runs r_i since the touch,
-    max_i (r_i − n_i · d) exceeds the tolerance, where d is the translation of the object that fits the runs best. The object is
-    on the side of that fingertip where its middle is.
+    Touches on plane faces do not show where the object is along them. A fingertip may therefore touch an edge, and slip off as
+    the forces rise. It then moves along its inward normal while the others hardly move. With displacements r_i along the inward
+    normals n_i since the touch, a fingertip has slipped if max_i (r_i − n_i · d) exceeds the tolerance, where d is the
+    translation of the object that fits the r_i best. The displacement is along the face, from that fingertip towards the
+    object's middle.
 
     Args:
         grasp: the grasp at the touch.
         p_tip: (N, 3) present centres of the fingertips, in H, m.
         down: (3,) unit vector along gravity, in H.
-        tolerance: run above which a fingertip has slipped, m.
+        tolerance: largest displacement of a fingertip that has not slipped, m.
     """
     normals = grasp.contacts.R_OC[:, :, 2] @ grasp.R_HO.T
     p_touch = np.array([grasp.hand.tip_pose(grasp.q, name)[0] for name in grasp.fingers])

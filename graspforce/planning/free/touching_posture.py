@@ -10,9 +10,9 @@ from scipy.optimize import least_squares
 from graspforce.contact.contact import ContactSet
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
+from graspforce.geometry import Shape
 from graspforce.planning.failure import UNREACHABLE, PlanFailure
 from graspforce.planning.task import GraspTask
-from graspforce.planning.tip_contacts import closest_points
 
 _TOUCH_TOLERANCE = 1e-4  # m: largest distance of a fingertip that touches
 _PLACE_WEIGHT = 1e-2  # of the distance from the contact: the fingertip is to touch, and near its contact if it can
@@ -35,8 +35,8 @@ class EndPosture:
 def find_touching_posture(task: GraspTask, p_HO: Array, R_HO: Array, q_start: Array) -> EndPosture | PlanFailure:
     """Return a posture in which every fingertip touches the object.
 
-    A tip that rolls may touch elsewhere at the goal, depending on the way. So if its contact is out of reach, the tip touches
-    the surface of the object's shape as near to the contact as it can.
+    If the contact of a rolling tip is out of reach, the tip touches the surface of the object's shape near the contact: after
+    rolling it may touch elsewhere at the goal.
 
     Args:
         task: the task; its fingers share no joints.
@@ -53,9 +53,10 @@ def find_touching_posture(task: GraspTask, p_HO: Array, R_HO: Array, q_start: Ar
         try:
             q = np.array(task.hand.grasp_posture([finger], ContactSet.stack([task.contacts.contacts[i]]), p_HO, R_HO, q))
         except InvalidInput as error:
-            if not task.is_rolling[i] or task.body.shape is None:  # without a shape, the surface is known at the contacts only
+            shape = task.body.shape
+            if not task.is_rolling[i] or shape is None:  # without a shape, the surface is known at the contacts only
                 return PlanFailure(UNREACHABLE, f"At the goal, the contact of {finger} must be {error.allowed}.", 1.0)
-            found = _nearest_touch(task, i, (p_HO, R_HO), q)
+            found = _nearest_touch(task, i, shape, (p_HO, R_HO), q)
             if found is None:
                 reason = f"At the goal, {finger} reaches no place on the object; its contact must be {error.allowed}."
                 return PlanFailure(UNREACHABLE, reason, 1.0)
@@ -63,7 +64,7 @@ def find_touching_posture(task: GraspTask, p_HO: Array, R_HO: Array, q_start: Ar
     return EndPosture(q, at_contacts)
 
 
-def _nearest_touch(task: GraspTask, i: int, pose: tuple[Array, Array], q: Array) -> Array | None:
+def _nearest_touch(task: GraspTask, i: int, shape: Shape, pose: tuple[Array, Array], q: Array) -> Array | None:
     """Return a posture (n,) in which finger i touches the surface near its contact; None if it touches it nowhere."""
     hand, (p_HO, R_HO) = task.hand, pose
     joints = list(hand.finger(task.fingers[i]).joints)
@@ -78,7 +79,7 @@ def _nearest_touch(task: GraspTask, i: int, pose: tuple[Array, Array], q: Array)
     def errors(x: Array) -> Array:
         """Return the weighted displacement of the tip from its contact and its gap to the surface, (4,) m."""
         p_HF = hand.tip_pose(posture(x), task.fingers[i])[0]
-        return np.append(_PLACE_WEIGHT * (p_HF - centre), _height(task, i, R_HO.T @ (p_HF - p_HO)) - task.tip_radii[i])
+        return np.append(_PLACE_WEIGHT * (p_HF - centre), _height(shape, R_HO.T @ (p_HF - p_HO)) - task.tip_radii[i])
 
     rng = np.random.default_rng(0)
     starts = [np.clip(q[joints], lower, upper), *rng.uniform(lower, upper, (_STARTS - 1, len(joints)))]
@@ -89,9 +90,6 @@ def _nearest_touch(task: GraspTask, i: int, pose: tuple[Array, Array], q: Array)
     return None
 
 
-def _height(task: GraspTask, i: int, p_OF: Array) -> float:
-    """Return the signed distance of the centre (3,) of tip i from the surface, m; negative inside."""
-    shape = task.body.shape
-    assert shape is not None  # checked before the search
-    centres = np.tile(p_OF, (1, len(task.fingers), 1))
-    return float(np.copysign(np.linalg.norm(p_OF - closest_points(task, centres)[0, i]), shape.phi(p_OF)))
+def _height(shape: Shape, p_OF: Array) -> float:
+    """Return the signed distance of a point (3,) from the surface, m; negative inside."""
+    return float(np.copysign(np.linalg.norm(p_OF - shape.closest_points(p_OF[None])[0]), shape.phi(p_OF)))

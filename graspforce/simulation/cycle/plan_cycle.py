@@ -165,9 +165,10 @@ def find_cycle(
 ) -> tuple[TableScene, CyclePlan]:
     """Find a grasp of an object on a table, and plan its cycle, with seeds of `find_grasp` in turn.
 
-    Contacts are at least a tip radius from the edges of the object's faces for 8 seeds, then 40 % of it for 16 seeds. The first
-    grasp whose fingers touch their faces wherever the object may be is used: displaced by 10 mm and turned by 10°. If there is
-    none among the 9 seeds from the first that allows a cycle, it is the one that misses a face at the fewest of these poses.
+    Contacts are at least a tip radius from the edges of the object's faces for 8 seeds, then 40 % of it for 16 seeds. The
+    result is the first grasp that allows a cycle and whose fingers touch their faces also if the object is displaced by 10 mm
+    and turned by 10°. After the first grasp that allows a cycle, 8 more seeds are tried. If none meets this, the result is
+    the grasp that misses faces at the fewest of these poses.
 
     Args:
         hand: the hand.
