@@ -37,7 +37,8 @@ class ClosePhase:
 
     A fingertip before the object's nearest place is free: a large bound overcomes the static friction of its joints, which the
     servo learns while all are free. Later a finger may stop by static friction, or lose the object that another finger moves.
-    When all have stopped, those that are off the surface of the most probable object go on with a larger bound, twice at most.
+    When all have stopped, those that are off the surface of the most probable object go on with a larger bound. So does a
+    finger at the end of its travel that is far behind its target. Both together occur twice at most.
 
     Args:
         servo: the servo.
@@ -49,6 +50,7 @@ class ClosePhase:
     Attributes:
         signs: what showed the contact of each finger; empty for fingers without contact.
         q_wait: (n,) target posture of the waiting fingers, rad.
+        has_passed: (N,) whether each fingertip has moved past the object, and not stopped before it, without contact.
     """
 
     def __init__(
@@ -70,6 +72,7 @@ class ClosePhase:
         self._memory: DetectorMemory | None = None
         self.signs: tuple[str, ...] = ("",) * count
         self.q_wait = plan.q_pregrasp
+        self.has_passed: npt.NDArray[np.bool_] = np.zeros(count, dtype=bool)
 
     def step(self, t: float, measurement: Measurement, memory: ServoMemory) -> PhaseTorques:
         """Return the torques of a period; see `JointPhase.step`.
@@ -91,12 +94,16 @@ class ClosePhase:
         force = np.where(may_touch, self._bound(memory, _FRICTION_SHARE), _FREE_FORCE)
         across = np.where(may_touch, self._bound(memory, _ACROSS_SHARE), _FREE_FORCE)
         bounds = force if is_free else ForceBounds(self._normals, force, across)
-        servo = self._servo.step(memory, measurement, JointMotion(self._q, rates), bounds, is_free=is_free)
+        servo = self._servo.step(memory, measurement, JointMotion(self._q, rates), bounds, is_free=~may_touch)
         self._lag = self._along(self._motion.positions(self._q) - servo[0].p_tip)  # m
         self._detect(measurement, servo[0], ClosingTargets(speeds, self._lag, force), may_touch)
-        missed = bool(((self._travel > farthest) & is_moving).any())
+        missed = (self._travel > farthest) & is_moving
+        is_behind = self._lag > _LARGEST_LAG
+        self.has_passed = missed & ~is_behind
+        goes_on = self._go_on(missed & is_behind, servo[0].p_tip)
         is_over = all(self.signs) and not self._retry(servo[0])
-        return PhaseTorques(servo[0].tau, servo, self._base, is_over, NO_CONTACT if missed and not is_over else "")
+        abort = NO_CONTACT if missed.any() and not goes_on and not is_over else ""
+        return PhaseTorques(servo[0].tau, servo, self._base, is_over, abort)
 
     def _bound(self, memory: ServoMemory, share: float) -> Array:
         """Return the largest feedback force (N,) of each finger, N: the touch force and a share of its joints' friction."""
@@ -120,17 +127,20 @@ class ClosePhase:
     def _retry(self, servo: ServoStep) -> bool:
         """Let the fingers go on that have stopped off the object, and return whether any does."""
         plan, settings = self._plan, self._settings
-        if self._retries == _MOST_RETRIES or self._memory is None:
+        if self._retries == _MOST_RETRIES:
             return False
         pose = pose_from_touch(plan.grasp, servo.p_tip, plan.down, settings)
         gaps = touch_gaps(touched_grasp(plan.grasp, servo.q, servo.p_tip, pose), servo.p_tip)  # m
-        is_off = gaps > settings.contact_tolerance
-        if not is_off.any():
+        return self._go_on(gaps > settings.contact_tolerance, servo.p_tip)
+
+    def _go_on(self, fingers: npt.NDArray[np.bool_], p_tip: Array) -> bool:
+        """Let fingers that static friction has stopped go on with a larger bound, and return whether any does."""
+        if not fingers.any() or self._retries == _MOST_RETRIES or self._memory is None:
             return False
         self._retries += 1
-        self._memory = self._restart(is_off, servo.p_tip, self._memory)
-        self._effort = np.where(is_off, _RETRY_EFFORT * self._effort, self._effort)
-        self.signs = tuple("" if off else sign for sign, off in zip(self.signs, is_off.tolist(), strict=True))
+        self._memory = self._restart(fingers, p_tip, self._memory)
+        self._effort = np.where(fingers, _RETRY_EFFORT * self._effort, self._effort)
+        self.signs = tuple("" if each else sign for sign, each in zip(self.signs, fingers.tolist(), strict=True))
         return True
 
     def _restart(self, fingers: npt.NDArray[np.bool_], p_tip: Array, memory: DetectorMemory) -> DetectorMemory:

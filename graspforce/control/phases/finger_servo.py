@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.control.friction.disturbance_observer import FrictionObserver, ObserverTimes
 from graspforce.control.joints.joint_command import JointMotion
@@ -38,6 +39,7 @@ from graspforce.hand.hand import Hand
 
 _LARGEST_FRICTION = 0.3  # of each motor's torque: bound of the observed levels
 _PULL_RATE = 10.0  # 1/s, by the error beyond the band of rest: rate of the motion whose friction is compensated
+_RESTING_RATE = 0.1  # rad/s: estimated rate below which static friction may hold a joint
 _RANK = 1e-8  # m²/rad²: added to J Jᵀ, so that a stretched finger has a finite force
 _MOBILITY_RANK = 1e-6  # of its mean diagonal: the same for J M⁻¹ Jᵀ
 
@@ -162,7 +164,7 @@ class FingerServo:
         desired: JointMotion,
         largest_force: Array | ForceBounds,
         *,
-        is_free: bool = False,
+        is_free: npt.ArrayLike = False,
         learns: bool = True,
         predicted: bool = True,
     ) -> tuple[ServoStep, ServoMemory]:
@@ -173,8 +175,10 @@ class FingerServo:
             measurement: the newest measurement.
             desired: desired motion of the joints when the torque acts.
             largest_force: (N,) bound of the feedback of each finger at its tip, N; or bounds by direction.
-            is_free: whether no finger touches: friction is compensated towards the desired posture, too.
-            learns: whether free fingers learn the levels of friction. Forces of contacts would be taken for friction.
+            is_free: whether no finger touches, or (N,) whether each one touches nothing: the friction of its joints is then
+                compensated towards the desired posture, too.
+            learns: whether the levels of friction of free fingers are learned. Forces of contacts would be taken for
+                friction.
             predicted: whether the servo's own torques acted in the last period, so that they predict the joints.
 
         Raises:
@@ -193,12 +197,17 @@ class FingerServo:
             J_i = J[i, :3][:, own]
             disturbances.append(np.linalg.solve(J_i @ J_i.T + _RANK * np.eye(3), J_i @ torque_d[own]))
         a = desired.a + np.linalg.solve(M, bounded)
-        direction = np.tanh((desired.v + (self._pull(desired.q - q) if is_free else 0.0)) / SMOOTHING_RATE)
+        free = self._free_joints(np.broadcast_to(is_free, len(self._tips)))
+        pull = np.where(free, self._pull(desired.q - q), 0.0)  # rad/s
+        direction = np.tanh((desired.v + pull) / SMOOTHING_RATE)
         friction = memory.friction
         tau = self.hand.model.inverse_dynamics(q, v, a, self._gravity) + friction * direction
         tau = np.clip(tau, self.hand.torque_lower, self.hand.torque_upper)
-        if is_free and learns:
-            friction = self._observer.step(friction, direction, bounded)
+        if free.any() and learns:
+            # A joint that swings about its goal is no joint that sticks.
+            pull = np.where(np.abs(v) < _RESTING_RATE, pull, 0.0)
+            learned = self._observer.step(friction, np.tanh((desired.v + pull) / SMOOTHING_RATE), np.where(free, bounded, 0.0))
+            friction = freeze(np.where(free, learned, friction))
         result = ServoStep(freeze(tau), q, v, freeze(p_tip), freeze(disturbances), freeze(forces))
         return result, ServoMemory(joints, freeze(a), friction)
 
@@ -228,6 +237,18 @@ class FingerServo:
                 share[joints] = 1.0 / excess
                 force[fingers] /= excess
         return M @ (share * a_f), force
+
+    def _free_joints(self, free: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """Return whether each joint may move alone, (n,): all joints, or those of free fingers that no other finger shares.
+
+        Args:
+            free: (N,) whether each finger touches nothing.
+        """
+        joints = np.full(self.hand.n, bool(free.all()))
+        for touches in (False, True):
+            for i in np.flatnonzero(free != touches):
+                joints[self._joints[i]] = not touches
+        return joints
 
     def _pull(self, error: Array) -> Array:
         """Return the rates towards the desired positions of joints that are outside the band of rest, rad/s.

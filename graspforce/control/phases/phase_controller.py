@@ -15,13 +15,22 @@ from graspforce.control.phases.contact_detector import ContactDetector
 from graspforce.control.phases.cycle_plan import BaseMotion, CyclePlan
 from graspforce.control.phases.finger_servo import FingerServo, ServoMemory, ServoStep
 from graspforce.control.phases.joint_phases import HoldJoints, JointPhase, ReopenPhase
+from graspforce.control.phases.missed_place import along_table, shift_of_late_touch, shift_of_miss, shift_of_slip
 from graspforce.control.phases.object_phases import CarryPhase, HeldObject, HoldObject, SqueezePhase
-from graspforce.control.phases.phase_rules import PAUSED, PHASE_ORDER, PHASE_RULES, RETRIED, TIME_LIMIT, WRONG_OBJECT, PhaseName
+from graspforce.control.phases.phase_rules import (
+    LATE_TOUCH,
+    PAUSED,
+    PHASE_ORDER,
+    PHASE_RULES,
+    RETRIED,
+    TIME_LIMIT,
+    WRONG_OBJECT,
+    PhaseName,
+)
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.phases.phase_step import FeedbackController, PhaseCommand, PhaseRecord, PhaseTorques
 from graspforce.control.phases.phase_times import check_times, opening_time
 from graspforce.control.phases.release_phase import ReleasePhase
-from graspforce.control.phases.slipped_finger import shift_of_slip
 from graspforce.control.phases.touched_grasp import pose_from_touch, touch_gaps, touched_grasp
 from graspforce.control.settings import ControlSettings
 from graspforce.core.arrays import Array, freeze
@@ -43,7 +52,8 @@ _DONE = frozenset(("done", "stopped"))
 class PhaseController:
     """Controller of a grasp cycle: approach, close, squeeze, lift, move, place, release, retract. Call `step` each period.
 
-    If the touched places do not fit the object, or the squeeze fails, the fingers open and close again.
+    If the touched places do not fit the object, a finger finds no contact, or the squeeze fails, the fingers open and close
+    again, above the place where the object then seems to be.
 
     Args:
         plan: the plan.
@@ -153,6 +163,9 @@ class PhaseController:
         if ended == "close" and not self._touch(servo):
             self._fail(t, WRONG_OBJECT, servo, base)
             return
+        if ended == "squeeze" and not self._is_last_attempt and self._late_shift(servo) is not None:
+            self._fail(t, LATE_TOUCH, servo, base)
+            return
         self._record(t, PHASE_RULES[ended].exit, False)
         following = 1 if ended == "reopen" else PHASE_ORDER.index(ended) + 1
         self.phase = PHASE_ORDER[following] if following < len(PHASE_ORDER) else "done"
@@ -200,26 +213,58 @@ class PhaseController:
 
     def _fail(self, t: float, reason: str, servo: ServoStep, base: BaseMotion) -> None:
         """Open the fingers for the next attempt, or stop the cycle."""
-        attempts = 1 + sum(record.phase == "reopen" for record in self.records)
-        if self._request or (self.phase, reason) not in RETRIED or attempts == self.settings.attempts:
+        if self._request or (self.phase, reason) not in RETRIED or self._is_last_attempt:
             self._stop(t, reason, servo.q, base)
             return
         self._message = f"{self.phase}: {reason}"
         self._record(t, reason, True)
-        shift = self._shift(self._active, servo) if isinstance(self._active, SqueezePhase) else np.zeros(3)
+        shift = self._shift(reason, servo)
         self.phase, self._phase_start, self.grasp = "reopen", t, self.plan.grasp
         self._held = self._closing = None
         opening = self._joint_phase(self._opening(servo.q), BaseMotion.at_rest(base.p))
         self._active = ReopenPhase(self.grasp.hand, opening, shift)
 
-    def _shift(self, squeeze: SqueezePhase, servo: ServoStep) -> Array:
-        """Return how far the object of a failed squeeze is from where it is expected, (3,) m along the table."""
-        down = self.plan.down
-        slip = shift_of_slip(self.grasp, servo.p_tip, down, self.settings.contact_tolerance)
-        if slip is not None:
-            return slip
-        shift = squeeze.target.pose.p_HO - self.plan.grasp.p_HO  # the touched places fit the object
-        return np.asarray(shift - (shift @ down) * down)
+    @property
+    def _is_last_attempt(self) -> bool:
+        """Whether the fingers close for the last time."""
+        return 1 + sum(record.phase == "reopen" for record in self.records) == self.settings.attempts
+
+    def _shift(self, reason: str, servo: ServoStep) -> Array:
+        """Return how far the object of a failed close or squeeze is from where it is expected, (3,) m along the table."""
+        down, expected, active = self.plan.down, self.plan.grasp, self._active
+        if isinstance(active, ClosePhase):
+            return self._shift_of_close(active, reason, servo.p_tip)
+        shift: Array | None = None
+        if reason == LATE_TOUCH:
+            shift = self._late_shift(servo)
+        elif isinstance(active, SqueezePhase):
+            shift = shift_of_slip(self.grasp, servo.p_tip, down, self.settings.contact_tolerance)
+            if shift is None:  # the touched places fit the object
+                shift = along_table(active.target.pose.p_HO - expected.p_HO, down)
+        return np.zeros(3) if shift is None else shift
+
+    def _shift_of_close(self, close: ClosePhase, reason: str, p_tip: Array) -> Array:
+        """Return how far the object is from where it is expected after a failed close, (3,) m along the table.
+
+        Args:
+            close: the failed close.
+            reason: why it failed.
+            p_tip: (N, 3) centres of the fingertips, in H, m.
+        """
+        down, expected = self.plan.down, self.plan.grasp
+        touching = np.array([bool(sign) for sign in close.signs])
+        if reason == WRONG_OBJECT:  # fingertips before the surface have stopped by friction
+            touching &= touch_gaps(self.grasp, p_tip) <= self.settings.contact_tolerance
+        p_HO, _ = pose_from_touch(expected, p_tip, down, self.settings, touching)
+        shift = along_table(p_HO - expected.p_HO, down)
+        for finger in np.flatnonzero(close.has_passed)[:1].tolist():
+            beside = shift_of_miss(expected, finger, p_tip[finger], down)
+            shift = shift if beside is None else shift + beside
+        return shift
+
+    def _late_shift(self, servo: ServoStep) -> Array | None:
+        """Return how far the object is from where it is expected if a finger has touched late, (3,) m along the table."""
+        return shift_of_late_touch(self.plan.grasp, self.grasp, servo.p_tip, self.plan.down, self.settings)
 
     def _stop(self, t: float, reason: str, q: Array, base: BaseMotion) -> None:
         """End the cycle with the safe stop of the present phase, at the present posture and motion of the base."""

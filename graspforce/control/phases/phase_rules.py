@@ -42,6 +42,7 @@ NO_CONTACT = "a finger finds no contact"
 WRONG_OBJECT = "the touched places do not fit the object"
 NO_FORCES = "no forces hold the object"
 LOST_CONTACT = "a fingertip left the object"
+LATE_TOUCH = "a finger touched late"
 MOVED = "the fingers move the object"
 PAUSED = "the measurements paused"
 NOT_REACHED = "the joints do not reach the posture"
@@ -49,9 +50,11 @@ PHASE_ORDER: tuple[PhaseName, ...] = ("approach", "close", "squeeze", "lift", "m
 
 RETRIED: tuple[tuple[PhaseName, str], ...] = (
     ("close", WRONG_OBJECT),
+    ("close", NO_CONTACT),
     ("close", TIME_LIMIT),
     ("squeeze", NO_FORCES),
     ("squeeze", LOST_CONTACT),
+    ("squeeze", LATE_TOUCH),
     ("squeeze", MOVED),
     ("squeeze", TIME_LIMIT),
 )
@@ -63,7 +66,14 @@ PHASE_RULES: dict[PhaseName, PhaseRule] = {
     for rule in (
         PhaseRule("approach", "start", "the joints are at the pre-grasp posture", (NOT_REACHED,), 10.0, "hold joints"),
         PhaseRule("close", "end of approach", "every fingertip touches", (NO_CONTACT, WRONG_OBJECT), 8.0, "hold joints"),
-        PhaseRule("squeeze", "end of close", "the planned forces carry the weight", (*_HOLD_ABORTS, MOVED), 3.0, "hold joints"),
+        PhaseRule(
+            "squeeze",
+            "end of close",
+            "the planned forces carry the weight",
+            (*_HOLD_ABORTS, LATE_TOUCH, MOVED),
+            3.0,
+            "hold joints",
+        ),
         PhaseRule("lift", "end of squeeze", "the hand is at the lift height", _HOLD_ABORTS, 10.0, "hold object"),
         PhaseRule("move", "end of lift", "the hand is above the goal", _HOLD_ABORTS, 30.0, "hold object"),
         PhaseRule("place", "end of move", "the table carries the weight", _HOLD_ABORTS, 10.0, "hold object"),

@@ -32,19 +32,22 @@ POSE_DEVIATIONS = 2.0  # standard deviations of the object's pose within which i
 _CONVERGED = 1e-6  # relative change of the weighted errors
 
 
-def pose_from_touch(grasp: Grasp, p_tip: Array, down: Array, settings: PhaseSettings) -> tuple[Array, Array]:
+def pose_from_touch(
+    grasp: Grasp, p_tip: Array, down: Array, settings: PhaseSettings, touching: npt.ArrayLike = True
+) -> tuple[Array, Array]:
     """Return the most probable pose of an object on a table, p_HO (3,) in m and R_HO (3, 3).
 
     Args:
         grasp: the grasp with the expected pose.
-        p_tip: (N, 3) centres of the fingertips that touch, in H, m.
+        p_tip: (N, 3) centres of the fingertips, in H, m.
         down: (3,) unit vector along gravity, in H.
         settings: standard deviations of the errors.
+        touching: (N,) whether each fingertip touches; the others do not count. Default: all do.
 
     Raises:
         InvalidInput: the object has no shape.
     """
-    shape = _surface(grasp)
+    shape, counts = _surface(grasp), np.broadcast_to(touching, len(grasp.fingers))
     radii = np.array([grasp.hand.finger(name).tip_radius or 0.0 for name in grasp.fingers])  # m
     deviations = np.array([settings.position_error, settings.position_error, settings.angle_error])
 
@@ -54,7 +57,7 @@ def pose_from_touch(grasp: Grasp, p_tip: Array, down: Array, settings: PhaseSett
 
     def errors(x: Array) -> Array:
         distances = _distances(shape, *displaced(x), p_tip) - radii
-        return np.concatenate([distances / settings.contact_error, x])
+        return np.concatenate([distances[counts] / settings.contact_error, x])
 
     found = least_squares(errors, np.zeros(3), bounds=(-POSE_DEVIATIONS, POSE_DEVIATIONS), ftol=_CONVERGED)
     return displaced(found.x)

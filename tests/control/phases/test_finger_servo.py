@@ -176,3 +176,17 @@ def test_bound_of_a_finger_does_not_weaken_fingers_without_shared_joints():
     together = step(error, bound)
     assert np.linalg.norm(together.f_feedback[0]) == pytest.approx(2.0)
     np.testing.assert_allclose(together.tau[near], alone.tau[near], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("amplitude", [0.03, 0.06, 0.12])
+def test_joints_that_swing_about_their_goal_learn_less_friction_than_joints_that_stick(amplitude):
+    """Swings come from too much compensation, so learning from them would increase them further."""
+    desired, rate = JointMotion(REST), 50.0  # rad/s: the swings seen with a delay of 8 ms
+    learned = []
+    for angle in (lambda t: amplitude * np.sin(rate * t), lambda t: 0.7 * amplitude):  # rad: equal mean squares
+        memory = SERVO.initial_memory(Measurement(0.0, REST + angle(0.0)))
+        for k in range(500):
+            t = k * SERVO.period
+            _, memory = SERVO.step(memory, Measurement(t, REST + angle(t)), desired, np.full(3, 5.0), is_free=True)
+        learned.append(memory.friction)
+    assert (learned[0] < 0.25 * learned[1]).all()

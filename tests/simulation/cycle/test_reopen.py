@@ -116,11 +116,17 @@ def test_one_attempt_stops_at_the_first_failure():
 
 
 def test_touch_that_does_not_fit_leads_to_another_close():
-    """With a tolerance of a micrometre no touch fits."""
+    """With a tolerance of a micrometre no touch fits. The base moves over the object all the same, to 2 mm: `contact_error`."""
     recording = run_with(0, replace(SETTINGS, fit_tolerance=1e-6, attempts=3))
     assert [record.phase for record in recording.records] == ["approach", *["close", "reopen"] * 2, "close"]
     assert recording.message == f"close: {WRONG_OBJECT}"
-    assert not recording.base.any()
+    close, down = recording.steps_of("close"), recording.scene.down
+    first_end = close[recording.t[close] <= recording.records[1].end][-1]
+    second_start = close[recording.t[close] > recording.records[2].end][0]
+    error = recording.p_HO[first_end] - ball_scene().grasp.p_HO
+    along = error - (error @ down) * down
+    assert np.linalg.norm(along) > 4e-3
+    np.testing.assert_allclose(recording.base[second_start], along, rtol=0, atol=2e-3)
 
 
 def test_stop_is_final_while_attempts_are_left():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from graspforce.contact.contact import Contact, ContactSet
-from graspforce.control.phases.slipped_finger import shift_of_slip
+from graspforce.control.phases.missed_place import shift_of_slip
 from graspforce.geometry import Box
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
