@@ -130,6 +130,22 @@ class Shape(ABC):
         p, rows = _as_rows(p_O)
         return arrays.freeze(self.closest_points(p).reshape(*rows, 3))
 
+    def signed_distance(self, p_O: npt.ArrayLike) -> Array:
+        """Return the distances from the surface, negative inside.
+
+        Args:
+            p_O: (3,) or (N, 3) points in O, m.
+
+        Returns:
+            () or (N,), m.
+
+        Raises:
+            InvalidInput: as in `project_to_surface`.
+        """
+        p, rows = _as_rows(p_O)
+        distances = row_norms(p - self.closest_points(p))  # m
+        return arrays.freeze(np.copysign(distances, self._phi(p)).reshape(rows))
+
     def curvatures(self, p_O: npt.ArrayLike) -> Array:
         """Return the principal curvatures k1 ≥ k2, positive where convex: the eigenvalues of S = Tᵀ (∂²φ/∂x²) T/‖∇φ‖.
 

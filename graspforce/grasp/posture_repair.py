@@ -142,7 +142,7 @@ class _Scene:
     def gaps(self, q: Array, names: Sequence[str]) -> Array:
         """Return the distances (N,) of tips from the surface, m; negative for an overlap."""
         radii = [self._hand.finger(name).tip_radius or 0.0 for name in names]
-        return np.asarray(self._distances(self.centres(q, names))[0] - radii)
+        return self._shape.signed_distance(self.centres(q, names)) - radii
 
     def _distances(self, p_O: Array) -> tuple[Array, Array]:
         """Return the signed distances (N,) of points from the surface, m, and their gradients (N, 3)."""

@@ -36,7 +36,8 @@ def test_the_normal_points_inwards(shape):
 @each_shape
 def test_one_point_and_many_agree_and_results_are_read_only(shape):
     p = surface_points(shape, 3, 7)
-    for method, width in ((shape.phi, ()), (shape.inward_normal, (3,)), (shape.project_to_surface, (3,))):
+    methods = ((shape.phi, ()), (shape.signed_distance, ()), (shape.inward_normal, (3,)), (shape.project_to_surface, (3,)))
+    for method, width in methods:
         many = method(p)
         assert many.shape == (len(p), *width)
         assert not many.flags.writeable
@@ -64,6 +65,16 @@ def test_the_closest_point_is_on_the_surface_and_no_sample_is_closer(shape):
     assert (far <= sampled + 1e-12).all()
     spacing = 0.16 / np.sqrt(len(samples)) * 4  # m, over the largest radius
     assert (sampled - far <= spacing).all()
+
+
+@each_shape
+@pytest.mark.parametrize("distance", [-2e-4, 2e-4, 3e-3])  # m, inside within the least radius of curvature
+def test_a_point_on_the_normal_has_its_distance_from_the_surface(shape, distance):
+    p = surface_points(shape, 6, 40)
+    found = shape.signed_distance(p - distance * shape.inward_normal(p))
+    assert (np.abs(found) <= abs(distance) + 1e-9).all()  # m; another place may be nearer
+    assert (np.sign(found) == np.sign(distance)).all()
+    assert np.median(np.abs(found - distance)) < 1e-8  # m
 
 
 @each_shape

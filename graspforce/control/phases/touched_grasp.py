@@ -56,7 +56,8 @@ def pose_from_touch(
         return pose_on_table(grasp, down, scaled[:2], float(scaled[2]))
 
     def errors(x: Array) -> Array:
-        distances = _distances(shape, *displaced(x), p_tip) - radii
+        p_HO, R_HO = displaced(x)
+        distances = shape.signed_distance((p_tip - p_HO) @ R_HO) - radii
         return np.concatenate([distances[counts] / settings.contact_error, x])
 
     found = least_squares(errors, np.zeros(3), bounds=(-POSE_DEVIATIONS, POSE_DEVIATIONS), ftol=_CONVERGED)
@@ -114,7 +115,8 @@ def surface_distances(grasp: Grasp, pose: tuple[Array, Array], points: Array) ->
     Raises:
         InvalidInput: the object has no shape.
     """
-    return _distances(_surface(grasp), *pose, points)
+    p_HO, R_HO = pose
+    return _surface(grasp).signed_distance((points - p_HO) @ R_HO)
 
 
 def touch_gaps(grasp: Grasp, p_tip: Array) -> Array:
@@ -148,10 +150,3 @@ def _surface(grasp: Grasp) -> Shape:
     if grasp.body.shape is None:
         raise InvalidInput("grasp.body.shape", None, "given: the object's pose follows from its surface")
     return grasp.body.shape
-
-
-def _distances(shape: Shape, p_HO: Array, R_HO: Array, p: Array) -> Array:
-    """Return signed distances (N,) of points in H from the surface, m."""
-    centres = (p - p_HO) @ R_HO
-    points = shape.project_to_surface(centres)
-    return np.asarray(np.sign(shape.phi(centres)) * np.linalg.norm(points - centres, axis=1))

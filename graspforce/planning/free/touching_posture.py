@@ -79,7 +79,7 @@ def _nearest_touch(task: GraspTask, i: int, shape: Shape, pose: tuple[Array, Arr
     def errors(x: Array) -> Array:
         """Return the weighted displacement of the tip from its contact and its gap to the surface, (4,) m."""
         p_HF = hand.tip_pose(posture(x), task.fingers[i])[0]
-        return np.append(_PLACE_WEIGHT * (p_HF - centre), _height(shape, R_HO.T @ (p_HF - p_HO)) - task.tip_radii[i])
+        return np.append(_PLACE_WEIGHT * (p_HF - centre), shape.signed_distance((p_HF - p_HO) @ R_HO) - task.tip_radii[i])
 
     rng = np.random.default_rng(0)
     starts = [np.clip(q[joints], lower, upper), *rng.uniform(lower, upper, (_STARTS - 1, len(joints)))]
@@ -88,8 +88,3 @@ def _nearest_touch(task: GraspTask, i: int, shape: Shape, pose: tuple[Array, Arr
         if abs(found.fun[-1]) < _TOUCH_TOLERANCE:
             return posture(found.x)
     return None
-
-
-def _height(shape: Shape, p_OF: Array) -> float:
-    """Return the signed distance of a point (3,) from the surface, m; negative inside."""
-    return float(np.copysign(np.linalg.norm(p_OF - shape.closest_points(p_OF[None])[0]), shape.phi(p_OF)))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from graspforce.control.phases.close_phase import ClosePhase
 from graspforce.control.phases.contact_detector import ContactDetector
 from graspforce.control.phases.cycle_plan import BaseMotion, CyclePlan
 from graspforce.control.phases.finger_servo import ForceBounds, ServoMemory, ServoStep
+from graspforce.control.phases.phase_rules import NO_CONTACT
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.phases.tip_motion import TipMotion
 from graspforce.control.phases.touched_grasp import touch_gaps
@@ -58,6 +61,26 @@ class StickingServo:
         return ServoStep(np.zeros(hand.n), desired.q, np.zeros(hand.n), p_tip, none, none), memory
 
 
+class PassingServo(StickingServo):
+    """As `StickingServo`, but the first tip passes beside the ball once it is loose. It keeps the bounds and the touches."""
+
+    def __init__(self, plan: CyclePlan, force: float) -> None:
+        super().__init__(plan, force)
+        self.normals, self.touching, self.bounds = self._normals, np.zeros(len(self._touch), dtype=bool), []
+
+    def step(self, memory, measurement, desired, bounds, *, is_free=False):
+        bound = float((bounds.along if isinstance(bounds, ForceBounds) else bounds)[0])
+        if isinstance(bounds, ForceBounds) and bound not in self.bounds:
+            self.bounds.append(bound)
+        servo, memory = super().step(memory, measurement, desired, bounds, is_free=is_free)
+        ahead = np.einsum("ij,ij->i", servo.p_tip - self._touch, self.normals)  # m
+        self.touching = ahead > -1e-9
+        if not self._is_loose:
+            return servo, memory
+        target = self._grasp.hand.tip_pose(desired.q, self._grasp.fingers[0])[0]
+        return replace(servo, p_tip=np.vstack([target, servo.p_tip[1:]])), memory
+
+
 def close(plan: CyclePlan, force: float, stuck: float = STUCK) -> tuple[bool, str, np.ndarray]:
     """Return whether the close ends, why it aborts, and the gaps at its end, m."""
     hand = plan.grasp.hand
@@ -69,6 +92,24 @@ def close(plan: CyclePlan, force: float, stuck: float = STUCK) -> tuple[bool, st
         if result.is_over or result.abort:
             break
     return result.is_over, result.abort, touch_gaps(plan.grasp, result.servo[0].p_tip)
+
+
+def close_without_touch(plan: CyclePlan, sticks: bool) -> tuple[ClosePhase, str, list[float]]:
+    """Return the phase in which a tip never touches, why it aborts, and the different bounds of this tip's feedback, N.
+
+    Force sensors show the contacts of the other tips. This tip sticks halfway, or passes beside the object.
+    """
+    hand, count = plan.grasp.hand, len(plan.grasp.fingers)
+    servo = PassingServo(plan, 1e3 if sticks else 0.0)
+    detector = ContactDetector(hand, SensorModel(tip_force_noise=1e-3), SETTINGS, PERIOD)
+    phase = ClosePhase(servo, detector, plan, SETTINGS, BaseMotion.at_rest(np.zeros(3)))
+    memory, wrench = ServoMemory(None, np.zeros(hand.n), np.full(hand.n, 0.05)), np.zeros((count, 6))
+    for k in range(10000):
+        result = phase.step(k * PERIOD, Measurement(k * PERIOD, plan.q_pregrasp, tip_wrench=wrench), memory)
+        wrench[1:, :3] = servo.touching[1:, None] * servo.normals[1:]  # N
+        if result.is_over or result.abort:
+            break
+    return phase, result.abort, servo.bounds
 
 
 def new_phase(plan: CyclePlan) -> ClosePhase:
@@ -105,6 +146,22 @@ def test_finger_that_sticks_where_the_object_cannot_be_does_not_count_as_touchin
     assert is_over, abort
     assert np.abs(gaps).max() < 1e-3
     assert not close(plan, 5.1, stuck)[0]
+
+
+def test_finger_that_sticks_without_a_sign_of_contact_goes_on_with_a_larger_bound(plan):
+    phase, abort, bounds = close_without_touch(plan, sticks=True)
+    assert abort == NO_CONTACT
+    force = SETTINGS.touch_force
+    assert max(bounds) - force > 3.5 * (min(bounds) - force)  # N: twice the share of the friction, two times
+    assert phase.signs == ("", "tip force", "tip force")
+    assert not phase.has_passed.any()
+
+
+def test_finger_that_passes_beside_the_object_does_not_push_harder(plan):
+    phase, abort, bounds = close_without_touch(plan, sticks=False)
+    assert abort == NO_CONTACT
+    assert max(bounds) < 1.5 * min(bounds)  # the bound varies with the posture
+    assert phase.has_passed.tolist() == [True, False, False]
 
 
 def test_target_has_the_commanded_speed_if_it_follows_its_normal(plan):

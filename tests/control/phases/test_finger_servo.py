@@ -190,3 +190,23 @@ def test_joints_that_swing_about_their_goal_learn_less_friction_than_joints_that
             _, memory = SERVO.step(memory, Measurement(t, REST + angle(t)), desired, np.full(3, 5.0), is_free=True)
         learned.append(memory.friction)
     assert (learned[0] < 0.25 * learned[1]).all()
+
+
+def test_friction_is_compensated_and_learned_for_the_joints_of_free_fingers_only():
+    """Static friction may hold a finger off the object while others already touch it."""
+    joints = [list(HAND.finger(name).joints) for name in FINGERS]
+    memory, measurement = SERVO.initial_memory(Measurement(0.0, REST)), Measurement(0.0, REST)
+    memory = replace(memory, friction=np.full(HAND.n, 0.01))  # N·m
+    bounds = ForceBounds(NORMALS, ALONG, ACROSS)
+    results = [
+        SERVO.step(memory, measurement, JointMotion(REST + 0.04), bounds, is_free=free)
+        for free in (False, [True, False, False], True)
+    ]
+    (none, unchanged), (first, one), (every, each) = results
+    np.testing.assert_array_equal(unchanged.friction, memory.friction)
+    np.testing.assert_allclose(first.tau[joints[0]], every.tau[joints[0]], rtol=0, atol=1e-12)
+    assert (one.friction[joints[0]] > memory.friction[joints[0]]).all()
+    for i in (1, 2):
+        np.testing.assert_allclose(first.tau[joints[i]], none.tau[joints[i]], rtol=0, atol=1e-12)
+        np.testing.assert_array_equal(one.friction[joints[i]], memory.friction[joints[i]])
+        assert (each.friction[joints[i]] > memory.friction[joints[i]]).all()

@@ -45,6 +45,18 @@ def test_displaced_ball_is_found_from_tips_on_its_surface(shift):
     assert np.linalg.norm(p - scene.grasp.p_HO - shift * along) < 2e-4
 
 
+def test_fingertips_that_do_not_touch_do_not_count():
+    scene, settings = ball_scene(), PhaseSettings()
+    p_tip = tips(scene.grasp)
+    far = np.array(p_tip)
+    far[1] += 0.03  # m
+    for touching in ([True, False, True], [False, False, False]):
+        expected = pose_from_touch(scene.grasp, p_tip, scene.down, settings, touching)
+        found = pose_from_touch(scene.grasp, far, scene.down, settings, touching)
+        np.testing.assert_allclose(found[0], expected[0], rtol=0, atol=1e-9)
+    assert np.abs(found[0] - scene.grasp.p_HO).max() < 1e-9  # m: without a touch the object is where it is expected
+
+
 def test_object_never_leaves_the_table():
     scene = ball_scene()
     rng = np.random.default_rng(0)
