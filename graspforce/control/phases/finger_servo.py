@@ -204,7 +204,7 @@ class FingerServo:
         tau = self.hand.model.inverse_dynamics(q, v, a, self._gravity) + friction * direction
         tau = np.clip(tau, self.hand.torque_lower, self.hand.torque_upper)
         if free.any() and learns:
-            # A joint that swings about its goal is no joint that sticks.
+            # Friction holds joints that rest. What swings about the goal has too much compensation already.
             pull = np.where(np.abs(v) < _RESTING_RATE, pull, 0.0)
             learned = self._observer.step(friction, np.tanh((desired.v + pull) / SMOOTHING_RATE), np.where(free, bounded, 0.0))
             friction = freeze(np.where(free, learned, friction))
