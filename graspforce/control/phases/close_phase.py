@@ -36,9 +36,9 @@ class ClosePhase:
     presses with the touch force.
 
     A fingertip before the object's nearest place is free: a large bound overcomes the static friction of its joints, which the
-    servo learns while all are free. Later a finger may stop by static friction, or lose the object that another finger moves.
-    When all have stopped, those that are off the surface of the most probable object go on with a larger bound. So does a
-    finger at the end of its travel that is far behind its target. Both together occur twice at most.
+    servo learns. Later a finger may stop by static friction, or lose the object that another finger moves. When all have
+    stopped, those that are off the surface of the most probable object go on with a larger bound. So does a finger at the end
+    of its travel that is far behind its target. A close has two such retries at most.
 
     Args:
         servo: the servo.
@@ -50,7 +50,7 @@ class ClosePhase:
     Attributes:
         signs: what showed the contact of each finger; empty for fingers without contact.
         q_wait: (n,) target posture of the waiting fingers, rad.
-        has_passed: (N,) whether each fingertip has moved past the object, and not stopped before it, without contact.
+        has_passed: (N,) whether each fingertip has moved past the object without contact.
     """
 
     def __init__(

@@ -10,8 +10,9 @@ the tip as the feedback does, F = (J M⁻¹ Jᵀ)⁻¹ J a_f (Khatib 1987). The 
 So a finger that meets the object pushes with F_max at most, however far its desired position is inside. Fingers that share
 joints, such as those of a wrist, have the same factor, the least one: other factors would change the directions of their tips.
 
-The friction levels are those of `FrictionObserver`, which learns them while the fingers move without contact. Free fingers that
-rest away from the goal get the friction of a motion towards it, too.
+The friction levels are those of `FrictionObserver`, which learns them while the fingers move without contact. Joints of free
+fingers away from the goal get the friction of a motion towards it, too. Beside the planned motion, friction is learned from
+joints that rest only: too much compensation makes a joint swing about its goal, and learning from swings would increase it.
 
 `ForceBounds` bounds the parts of F along a direction and across it on their own. A joint that sticks by static friction leads
 the tip away from its line; the force across the line that moves this joint then does not depend on the bound along it.
@@ -204,7 +205,6 @@ class FingerServo:
         tau = self.hand.model.inverse_dynamics(q, v, a, self._gravity) + friction * direction
         tau = np.clip(tau, self.hand.torque_lower, self.hand.torque_upper)
         if free.any() and learns:
-            # Friction holds joints that rest. What swings about the goal has too much compensation already.
             pull = np.where(np.abs(v) < _RESTING_RATE, pull, 0.0)
             learned = self._observer.step(friction, np.tanh((desired.v + pull) / SMOOTHING_RATE), np.where(free, bounded, 0.0))
             friction = freeze(np.where(free, learned, friction))
@@ -245,9 +245,10 @@ class FingerServo:
             free: (N,) whether each finger touches nothing.
         """
         joints = np.full(self.hand.n, bool(free.all()))
-        for touches in (False, True):
-            for i in np.flatnonzero(free != touches):
-                joints[self._joints[i]] = not touches
+        for i in np.flatnonzero(free):
+            joints[self._joints[i]] = True
+        for i in np.flatnonzero(~free):
+            joints[self._joints[i]] = False
         return joints
 
     def _pull(self, error: Array) -> Array:

@@ -163,9 +163,11 @@ class PhaseController:
         if ended == "close" and not self._touch(servo):
             self._fail(t, WRONG_OBJECT, servo, base)
             return
-        if ended == "squeeze" and not self._is_last_attempt and self._late_shift(servo) is not None:
-            self._fail(t, LATE_TOUCH, servo, base)
-            return
+        if ended == "squeeze" and not self._is_last_attempt:
+            shift = shift_of_late_touch(self.plan.grasp, self.grasp, servo.p_tip, self.plan.down, self.settings)
+            if shift is not None:
+                self._reopen(t, LATE_TOUCH, servo, base, shift)
+                return
         self._record(t, PHASE_RULES[ended].exit, False)
         following = 1 if ended == "reopen" else PHASE_ORDER.index(ended) + 1
         self.phase = PHASE_ORDER[following] if following < len(PHASE_ORDER) else "done"
@@ -212,13 +214,16 @@ class PhaseController:
         return True
 
     def _fail(self, t: float, reason: str, servo: ServoStep, base: BaseMotion) -> None:
-        """Open the fingers for the next attempt, or stop the cycle."""
+        """Begin the next attempt after a failure, or stop the cycle."""
         if self._request or (self.phase, reason) not in RETRIED or self._is_last_attempt:
             self._stop(t, reason, servo.q, base)
             return
+        self._reopen(t, reason, servo, base, self._shift(reason, servo))
+
+    def _reopen(self, t: float, reason: str, servo: ServoStep, base: BaseMotion, shift: Array) -> None:
+        """Open the fingers, and then move the base by a displacement (3,), m, for the next attempt."""
         self._message = f"{self.phase}: {reason}"
         self._record(t, reason, True)
-        shift = self._shift(reason, servo)
         self.phase, self._phase_start, self.grasp = "reopen", t, self.plan.grasp
         self._held = self._closing = None
         opening = self._joint_phase(self._opening(servo.q), BaseMotion.at_rest(base.p))
@@ -234,14 +239,11 @@ class PhaseController:
         down, expected, active = self.plan.down, self.plan.grasp, self._active
         if isinstance(active, ClosePhase):
             return self._shift_of_close(active, reason, servo.p_tip)
-        shift: Array | None = None
-        if reason == LATE_TOUCH:
-            shift = self._late_shift(servo)
-        elif isinstance(active, SqueezePhase):
-            shift = shift_of_slip(self.grasp, servo.p_tip, down, self.settings.contact_tolerance)
-            if shift is None:  # the touched places fit the object
-                shift = along_table(active.target.pose.p_HO - expected.p_HO, down)
-        return np.zeros(3) if shift is None else shift
+        assert isinstance(active, SqueezePhase)  # no other phase is repeated
+        slip = shift_of_slip(self.grasp, servo.p_tip, down, self.settings.contact_tolerance)
+        if slip is not None:
+            return slip
+        return along_table(active.target.pose.p_HO - expected.p_HO, down)  # the touched places fit the object
 
     def _shift_of_close(self, close: ClosePhase, reason: str, p_tip: Array) -> Array:
         """Return how far the object is from where it is expected after a failed close, (3,) m along the table.
@@ -257,14 +259,11 @@ class PhaseController:
             touching &= touch_gaps(self.grasp, p_tip) <= self.settings.contact_tolerance
         p_HO, _ = pose_from_touch(expected, p_tip, down, self.settings, touching)
         shift = along_table(p_HO - expected.p_HO, down)
-        for finger in np.flatnonzero(close.has_passed)[:1].tolist():
+        if close.has_passed.any():
+            finger = int(np.argmax(close.has_passed))
             beside = shift_of_miss(expected, finger, p_tip[finger], down)
             shift = shift if beside is None else shift + beside
         return shift
-
-    def _late_shift(self, servo: ServoStep) -> Array | None:
-        """Return how far the object is from where it is expected if a finger has touched late, (3,) m along the table."""
-        return shift_of_late_touch(self.plan.grasp, self.grasp, servo.p_tip, self.plan.down, self.settings)
 
     def _stop(self, t: float, reason: str, q: Array, base: BaseMotion) -> None:
         """End the cycle with the safe stop of the present phase, at the present posture and motion of the base."""

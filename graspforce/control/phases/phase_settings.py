@@ -44,8 +44,8 @@ class PhaseSettings(SettingsRecord):
         largest_shift: distance that the object may move in the squeeze, m; beyond it the fingers let go.
         loss_time: time after which a lost contact, a step without forces, or a pause of the measurements ends the cycle, s.
         largest_rate: largest rate of the double pole of the joint loop, rad/s.
-        attempts: number of times that the fingers close on the object, 1 to 10. They open and close again if the touched places
-            do not fit the object, or if the squeeze fails.
+        attempts: largest number of times that the fingers close on the object, 1 to 10. They open and close again if the
+            close or the squeeze fails.
 
     Raises:
         InvalidInput: a value is not greater than 0, or `attempts` is out of range; names the field.
