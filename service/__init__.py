@@ -8,6 +8,7 @@ with optional_imports("zenoh"):
     from graspforce.service.client.phase_stream import PhaseStream
     from graspforce.service.client.stream import Stream
     from graspforce.service.client.watchdog import Watchdog
+    from graspforce.service.realtime_scheduling import ordinary_scheduling, use_realtime_scheduling
     from graspforce.service.server.force_requests import make_force_problem
     from graspforce.service.server.limits import ServerLimits
     from graspforce.service.server.request_handler import RequestHandler
@@ -51,7 +52,9 @@ __all__ = [
     "StreamState",
     "Watchdog",
     "make_force_problem",
+    "ordinary_scheduling",
     "run_server",
     "serve",
     "start_server_process",
+    "use_realtime_scheduling",
 ]

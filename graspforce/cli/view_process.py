@@ -8,6 +8,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from graspforce.service.realtime_scheduling import ordinary_scheduling
+
 _END_TIME = 0.5  # s, until a process that does not end is killed
 _STANDARD_ERROR = 2  # its file descriptor: standard output has the results of `--json` only
 _ANY_INTERFACE = "0.0.0.0"
@@ -26,7 +28,8 @@ def view_process(address: str, hands: Sequence[str], secure: Path | None) -> Ite
     command = [sys.executable, "-m", "graspforce", "view", "--connect", local]
     command += [part for hand in hands for part in ("--hand", hand)]
     command += [] if secure is None else ["--secure", str(secure)]
-    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=_STANDARD_ERROR)
+    with ordinary_scheduling():
+        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=_STANDARD_ERROR)
     try:
         yield
     finally:

@@ -2,7 +2,8 @@
 
 Each is in a process group of its own, so that Ctrl-C in a terminal reaches the server only, which then ends its processes in
 order. It stays in the server's session: with `sched_autogroup_enabled`, Linux gives each session an equal share of the
-processors, and the niceness of a process counts only within its session.
+processors, and the niceness of a process counts only within its session. It is an ordinary process also if the server has
+real-time scheduling.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ import sys
 from collections.abc import Sequence
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
+
+from graspforce.service.realtime_scheduling import ordinary_scheduling
 
 # One thread for each library: small matrices gain nothing from more.
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -33,10 +36,13 @@ def start_worker(
     """
     output = subprocess.DEVNULL  # some solvers print banners that no option turns off
     environment, inherited = worker_environment(), tuple(pass_fds)
-    if sys.version_info >= (3, 11):
-        return subprocess.Popen(command, stdin=stdin, stdout=output, env=environment, pass_fds=inherited, process_group=0)
-    # Python 3.10 can only start a session.
-    return subprocess.Popen(command, stdin=stdin, stdout=output, env=environment, pass_fds=inherited, start_new_session=True)
+    with ordinary_scheduling():
+        if sys.version_info >= (3, 11):
+            return subprocess.Popen(command, stdin=stdin, stdout=output, env=environment, pass_fds=inherited, process_group=0)
+        # Python 3.10 can only start a session.
+        return subprocess.Popen(
+            command, stdin=stdin, stdout=output, env=environment, pass_fds=inherited, start_new_session=True
+        )
 
 
 def start_piped_worker(command: Sequence[str]) -> tuple[subprocess.Popen[bytes], Connection]:

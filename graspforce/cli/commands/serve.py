@@ -62,6 +62,10 @@ def serve(
             "--worker-processes/--worker-threads", help="Workers as processes, so that requests do not delay streams."
         ),
     ] = True,
+    realtime: Annotated[
+        int | None,
+        typer.Option(metavar="PRIORITY", min=1, max=49, help="Real-time priority of the streams' process, such as 10 (Linux)."),
+    ] = None,
     lease: Annotated[
         float | None,
         typer.Option(metavar="SECONDS", help="Silence after which another replica takes over (default with --connect: 0.5)."),
@@ -146,9 +150,8 @@ def serve(
         lease=lease,
         record=record,
     )
-    run_server(
-        server, ServeOptions(on_ready=ready, metrics=metrics, attach=attach, watch=hands if watch else (), end_process=True)
-    )
+    watched = hands if watch else ()
+    run_server(server, ServeOptions(ready, metrics, attach, watched, end_process=True, realtime=realtime))
 
 
 def _with_view(
