@@ -2,9 +2,11 @@
 
 This process steps a stream at 1 kHz against `graspforce serve`. In each period it also makes a round trip to a bare echo in a
 third process, behind a ring buffer of one message. The echo shares the machine but not the server. A fourth process sends
-requests. Bursts with each load and without load take turns, and so do servers with worker processes and with worker threads, so
-that a drift of the machine's speed affects all of them equally. Requests have a budget of 3 s; later ones are refused with
-`deadline`.
+requests. Bursts with each load and without load take turns, and so do the servers, so that a drift of the machine's speed
+affects all of them equally. Requests have a budget of 3 s; later ones are refused with `deadline`.
+
+One server has worker processes, one has worker threads. Where the system permits it, a third one has worker processes and
+real-time scheduling (`graspforce serve --realtime 10`). Its driver and the echo of its rows then have it as well.
 
 A ratio compares the 99 % quantile of a load with that without load in the same run. "over 1 ms" is the share of round trips
 that take longer than a period: a driver that does not wait would skip these states.
@@ -18,7 +20,7 @@ from __future__ import annotations
 import contextlib
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
@@ -26,15 +28,30 @@ import numpy as np
 
 from benchmarks import report_page
 from benchmarks.control_stream import allegro_grasp, state_sequence
-from benchmarks.service_load import TIMEOUT, Load, LoadResult, start_client, start_echo, start_server
+from benchmarks.service_load import (
+    TIMEOUT,
+    Echo,
+    Load,
+    LoadResult,
+    may_use_realtime_scheduling,
+    start_client,
+    start_echo,
+    start_server,
+)
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, GraspState
-from graspforce.service import Client, Stream
+from graspforce.service import Client, Stream, use_realtime_scheduling
+from graspforce.service.realtime_scheduling import DEFAULT_PRIORITY, end_realtime_scheduling
 
 BURST = 500  # periods of a burst
 WARM_UP = 50  # periods of a burst that are not timed
 PERIOD = 1e-3  # s
-SERVERS = {"processes": "--worker-processes", "threads": "--worker-threads"}
+REALTIME = "real-time"
+SERVERS = {
+    "processes": ("--worker-processes",),
+    "threads": ("--worker-threads",),
+    REALTIME: ("--worker-processes", "--realtime", str(DEFAULT_PRIORITY)),
+}
 NOTHING = "nothing"
 LOADS = {
     NOTHING: None,
@@ -72,6 +89,23 @@ def _step(stream: Stream, points: list[tuple[GraspState, BodyMotion]], i: int) -
     stream.step(*points[i], wait=TIMEOUT)
 
 
+def _step_echo(echo: Echo, i: int) -> None:
+    """Make one round trip of an echo."""
+    echo.step()
+
+
+@contextlib.contextmanager
+def _scheduling_of(server: str) -> Iterator[None]:
+    """Give this process real-time scheduling in a ``with`` block if the server has it."""
+    if server == REALTIME:
+        use_realtime_scheduling()
+    try:
+        yield
+    finally:
+        if server == REALTIME:
+            end_realtime_scheduling()
+
+
 def measure(servers: list[str], loads: list[str], rounds: int) -> tuple[Trips, dict[tuple[str, str], LoadResult]]:
     """Return the times of all round trips, and the answers to the requests by server and load."""
     grasp = allegro_grasp()
@@ -79,20 +113,23 @@ def measure(servers: list[str], loads: list[str], rounds: int) -> tuple[Trips, d
     trips: Trips = {}
     answers: dict[tuple[str, str], LoadResult] = {(name, load): LoadResult() for load in loads for name in servers}
     with contextlib.ExitStack() as stack:
-        addresses = {name: stack.enter_context(start_server(SERVERS[name])).address for name in servers}
+        addresses = {name: stack.enter_context(start_server(*SERVERS[name])).address for name in servers}
         echo, relay = (stack.enter_context(start_echo(server)) for server in ("", addresses[servers[0]]))
+        echoes = dict.fromkeys(servers, echo)
+        if REALTIME in servers:
+            echoes[REALTIME] = stack.enter_context(start_echo(realtime=DEFAULT_PRIORITY))
         clients = {name: stack.enter_context(Client(address, timeout=TIMEOUT)) for name, address in addresses.items()}
         senders = {name: stack.enter_context(start_client(address)) for name, address in addresses.items()}
         for _ in range(rounds):
-            pair: Subjects = {"echo": lambda i: echo.step(), RELAY: lambda i: relay.step()}
+            pair: Subjects = {"echo": partial(_step_echo, echo), RELAY: partial(_step_echo, relay)}
             for series, own in burst(pair).items():
                 trips.setdefault((RELAY, NOTHING, series), []).extend(own)
             for name, load in answers:
                 requests = LOADS[load]
                 if requests is not None:
                     senders[name].start(requests)
-                with clients[name].open_stream(grasp, settings, validity=TIMEOUT) as stream:
-                    pair = {"stream": partial(_step, stream, points), "echo": lambda i: echo.step()}
+                with clients[name].open_stream(grasp, settings, validity=TIMEOUT) as stream, _scheduling_of(name):
+                    pair = {"stream": partial(_step, stream, points), "echo": partial(_step_echo, echoes[name])}
                     for series, own in burst(pair).items():
                         trips.setdefault((name, load, series), []).extend(own)
                 if requests is not None:
@@ -119,7 +156,7 @@ def _show(trips: Trips, answers: dict[tuple[str, str], LoadResult], save: Path |
     """Print the table and write the page."""
     rows = rows_of(trips, answers)
     figures = ("p50 ms", "p99 ms", "ratio", "over 1 ms", "max ms")
-    head = ("workers", "load", *(f"{each} {figure}" for each in SERIES for figure in figures), "answers")
+    head = ("server", "load", *(f"{each} {figure}" for each in SERIES for figure in figures), "answers")
     title = "Latency of a control stream beside ordinary requests"
     report_page.show(title, head, rows, width=200)
     direct, relayed = (1e6 * np.percentile(trips[RELAY, NOTHING, each], [50, 99]) for each in ("echo", RELAY))
@@ -139,12 +176,13 @@ def main() -> None:
     parser = report_page.parser("interference", __doc__)
     parser.add_argument("--rounds", type=int, default=10, help="bursts of each server and load")
     parser.add_argument(
-        "--workers", action="append", choices=list(SERVERS), help="workers of the server; repeatable (default: all)"
+        "--server", action="append", choices=list(SERVERS), help="server to measure; repeatable (default: all that may run)"
     )
     parser.add_argument("--load", action="append", choices=list(LOADS)[1:], help="load to measure; repeatable (default: all)")
     options = parser.parse_args()
     loads = [NOTHING, *(options.load or list(LOADS)[1:])]
-    _show(*measure(options.workers or list(SERVERS), loads, options.rounds), options.save)
+    servers = options.server or [name for name in SERVERS if name != REALTIME or may_use_realtime_scheduling()]
+    _show(*measure(servers, loads, options.rounds), options.save)
 
 
 if __name__ == "__main__":

@@ -23,10 +23,12 @@ from zenoh.handlers import Callback, RingChannel
 from benchmarks.control_stream import allegro_grasp
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, GraspState
+from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
 from graspforce.planning import FreeMove
 from graspforce.planning.tracking import object_task
-from graspforce.service import Client
+from graspforce.service import Client, use_realtime_scheduling
+from graspforce.service.realtime_scheduling import end_realtime_scheduling
 from graspforce.service.wire import protocol
 from graspforce.service.wire.control_records import StreamSetup
 from graspforce.service.wire.reply import make_error_reply
@@ -216,6 +218,16 @@ class _Sender:
 # ── processes ──────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
+def may_use_realtime_scheduling() -> bool:
+    """Return whether the system permits real-time scheduling."""
+    try:
+        use_realtime_scheduling()
+    except InvalidInput:
+        return False
+    end_realtime_scheduling()
+    return True
+
+
 @contextlib.contextmanager
 def python_process(*arguments: str) -> Iterator[subprocess.Popen[str]]:
     """Run a Python module in a process with pipes, and end it afterwards."""
@@ -375,13 +387,14 @@ class Echo:
 
 
 @contextlib.contextmanager
-def start_echo(server: str = "") -> Iterator[Echo]:
+def start_echo(server: str = "", realtime: int = 0) -> Iterator[Echo]:
     """Start an echo process, which replies from another thread behind a ring buffer of one message.
 
     Args:
         server: endpoint of a server that relays the messages; empty for a direct connection.
+        realtime: its real-time priority; 0 for ordinary scheduling.
     """
-    with python_process("benchmarks.service_load", "echo", server) as child:
+    with python_process("benchmarks.service_load", "echo", server, str(realtime)) as child:
         echo = Echo(read_line(child))
         try:
             yield echo
@@ -389,8 +402,10 @@ def start_echo(server: str = "") -> Iterator[Echo]:
             echo.close()
 
 
-def _run_echo(server: str) -> None:
+def _run_echo(server: str, realtime: str) -> None:
     """Answer each message with one of a command's size until standard input closes."""
+    if realtime != "0":
+        use_realtime_scheduling(int(realtime))
     sys.setswitchinterval(1e-4)  # as `graspforce serve` does
     settings = {"connect/endpoints": [server]} if server else {"listen/endpoints": [LOCAL], "adminspace/enabled": True}
     configuration = build_configuration(None, {"mode": "client" if server else "peer"}, settings)

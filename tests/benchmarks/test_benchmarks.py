@@ -19,7 +19,7 @@ SHORT = {  # options of the short form, and a text that its output must contain
     "import_time": (["--rounds", "1"], "after NumPy: met"),
     "control_stream": (["--rounds", "1"], "times the bare echo"),
     "stream_overhead": (["--rounds", "1"], "MessagePack, binary arrays, all fields"),
-    "soak": (["--seconds", "3"], "Without an answer: 0."),
+    "soak": (["--seconds", "3", "--ordinary"], "Without an answer: 0."),
     "robust": (["--samples", "100", "--steps", "5"], "against closed forms"),
     "ros2_stream": (["--seconds", "1", "--corpus", "20", "--port", "0"], "20 of 20 joint states from the library and 20 of 20"),
     "rigorous": (["--count", "20", "--mutations", "50"], "50 refused with the old checksum"),
