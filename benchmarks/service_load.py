@@ -453,10 +453,10 @@ def _run_refusals() -> None:
 
 def _run_streams(address: str, count: int, period: float) -> None:
     """Step several streams in turn, each once a period, until standard input closes."""
-    grasp, is_open = allegro_grasp(), True
+    grasp, settings, is_open = allegro_grasp(), ControlSettings(period=period), True
     state = GraspState(grasp.q, np.zeros(grasp.hand.n), BodyMotion(grasp.p_HO, grasp.R_HO))
     with Client(address, timeout=TIMEOUT) as client, contextlib.ExitStack() as stack:
-        streams = [stack.enter_context(client.open_stream(grasp, ControlSettings())) for _ in range(count)]
+        streams = [stack.enter_context(client.open_stream(grasp, settings)) for _ in range(count)]
         print("ready", flush=True)
 
         def wait() -> None:

@@ -11,9 +11,11 @@ systemd unit).
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 from graspforce.core import fields
 from graspforce.core.errors import InvalidInput
@@ -21,12 +23,16 @@ from graspforce.core.errors import InvalidInput
 DEFAULT_PRIORITY = 10
 MAX_PRIORITY = 49  # Linux handles interrupts in threads of priority 50
 
+_FASTEST_PERIOD = 1e-3  # s; no stream gets a higher priority than those of this period
+_STREAM_LEVELS = 5  # priorities of streams; the lowest one is for periods of 12 ms and more
+
 
 def use_realtime_scheduling(priority: int = DEFAULT_PRIORITY) -> None:
     """Schedule all threads of this process by SCHED_FIFO; threads that they start later inherit it.
 
-    Processes that these threads start inherit it, too, unless they start within `ordinary_scheduling`. Use the same priority in
-    server and driver: a driver with a higher one, which waits busily for its command, can hold up a server on the same machine.
+    Processes that these threads start inherit it, too, unless they start within `ordinary_scheduling`. Give a driver the
+    priority of its server (`graspforce serve --realtime`): with a higher one, its busy wait for a command can hold up the
+    server on the same machine.
 
     Args:
         priority: priority among real-time threads, from 1 to 49.
@@ -50,18 +56,107 @@ def end_realtime_scheduling() -> None:
         _schedule_threads(os.SCHED_OTHER, 0)
 
 
+def is_realtime() -> bool:
+    """Return whether this thread has real-time scheduling."""
+    return sys.platform == "linux" and os.sched_getscheduler(0) in (os.SCHED_FIFO, os.SCHED_RR)
+
+
 @contextlib.contextmanager
 def ordinary_scheduling() -> Iterator[None]:
     """Schedule this thread as an ordinary one within a ``with`` block, so that processes which it starts are ordinary."""
-    if sys.platform != "linux" or os.sched_getscheduler(0) == os.SCHED_OTHER:
+    if not is_realtime():
         yield
         return
-    policy, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    with _thread_scheduling(os.SCHED_OTHER, 0):
+        yield
+
+
+@dataclass(frozen=True)
+class ServerPriorities:
+    """Real-time priorities of a server's threads; of streams the faster, the higher, as in rate-monotonic scheduling.
+
+    A thread that has received a state thus never waits for a slower stream or a request. With one priority for all threads it
+    would, because threads of equal priority do not interrupt each other.
+
+    Args:
+        highest: priority of Zenoh's threads and of streams with a period of 1 ms or less; None for ordinary scheduling.
+
+    Raises:
+        InvalidInput: the priority is out of range.
+
+    Source:
+        C. L. Liu and J. W. Layland (1973), "Scheduling Algorithms for Multiprogramming in a Hard-Real-Time Environment".
+    """
+
+    highest: int | None
+
+    def __post_init__(self) -> None:
+        if self.highest is not None:
+            fields.check_integer(self.highest, "realtime", minimum=1, maximum=MAX_PRIORITY)
+
+    @property
+    def requests(self) -> int | None:
+        """Priority of all other threads, which is below that of every stream."""
+        return None if self.highest is None else max(self.highest - _STREAM_LEVELS, 1)
+
+    def of_stream(self, period: float) -> int | None:
+        """Return the priority of a stream: one less for each doubling of the period above 1 ms.
+
+        Args:
+            period: control period, s.
+        """
+        if self.highest is None:
+            return None
+        level = min(max(round(math.log2(period / _FASTEST_PERIOD)), 0), _STREAM_LEVELS - 1)
+        return max(self.highest - level, 1)
+
+    def apply(self) -> None:
+        """Schedule the threads of this process as those of requests.
+
+        Raises:
+            InvalidInput: as in `use_realtime_scheduling`.
+        """
+        if self.highest is not None:
+            use_realtime_scheduling(self.highest)  # with its errors
+            _schedule_threads(os.SCHED_FIFO, self.requests or 1)
+
+    def end(self) -> None:
+        """Schedule the threads of this process as ordinary ones again if they were real-time."""
+        if self.highest is not None:
+            end_realtime_scheduling()
+
+    @contextlib.contextmanager
+    def for_messages(self) -> Iterator[None]:
+        """Give this thread the highest priority within a ``with`` block, so that threads which it starts have it."""
+        if self.highest is None:
+            yield
+            return
+        with _thread_scheduling(os.SCHED_FIFO, self.highest):
+            yield
+
+
+def schedule_thread(priority: int | None) -> None:
+    """Schedule this thread by SCHED_FIFO.
+
+    Args:
+        priority: priority that the system permits; None to change nothing.
+    """
+    if priority is not None and sys.platform == "linux":
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+
+
+@contextlib.contextmanager
+def _thread_scheduling(policy: int, priority: int) -> Iterator[None]:
+    """Schedule this thread by a policy within a ``with`` block."""
+    if sys.platform != "linux":
+        yield
+        return
+    before, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
+    os.sched_setscheduler(0, policy, os.sched_param(priority))
     try:
         yield
     finally:
-        os.sched_setscheduler(0, policy, parameter)
+        os.sched_setscheduler(0, before, parameter)
 
 
 def _schedule_threads(policy: int, priority: int) -> None:

@@ -38,6 +38,7 @@ from graspforce.service.workers.worker_process import start_worker
 log = logging.getLogger("graspforce.service")
 
 COMMAND = (sys.executable, "-c", "from graspforce.service.recording.recording_process import main; main()")
+_NICENESS = 10  # of the process: streams have priority if processors are short
 _PERIOD = 0.02  # s, between two batches
 _BATCH_BYTES = 2**18  # of one message to the process: encoding it delays other threads for about 50 µs
 _QUEUE_BYTES = 64 * 2**20  # that may wait: about 20 s of a stream at 1 kHz
@@ -96,7 +97,7 @@ class Recorder:
         """
         self.path.open("wb").close()
         command = [*self._options.command, str(self.path)]
-        self._process = start_worker(command, stdin=subprocess.PIPE)
+        self._process = start_worker(command, _NICENESS, stdin=subprocess.PIPE)
         clock = time.time_ns() - time.perf_counter_ns()
         header = Header(clock, this_version(), this_machine(), tuple(map(recorded_hand, hands)), limits)
         self._thread = threading.Thread(target=self._run, args=(header,), name="recorder", daemon=True)

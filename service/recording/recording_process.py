@@ -5,7 +5,6 @@ The process finishes the file even if the server is killed.
 
 from __future__ import annotations
 
-import os
 import signal
 import sys
 from collections.abc import Iterator
@@ -17,14 +16,11 @@ import msgspec
 from graspforce.service.recording.exchange import LENGTH_BYTES, Batch, End, Header, Message
 from graspforce.service.recording.recording_writer import RecordingWriter
 
-_NICENESS = 10  # control has priority if processors are short
 _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 def main() -> None:
     """Write the recording whose path is the last command-line argument."""
-    if hasattr(os, "nice"):
-        os.nice(_NICENESS)
     for name in _SIGNALS:  # a service manager signals all processes; this one ends after the last exchange
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)

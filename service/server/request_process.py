@@ -5,7 +5,6 @@ Python runs one thread of a process at a time. In the server's own process, requ
 
 from __future__ import annotations
 
-import os
 import signal
 import sys
 import time
@@ -75,15 +74,12 @@ class ProcessAnswer:
 def main() -> None:
     """Answer the requests that arrive through a pipe until it is closed.
 
-    The last command-line arguments are the niceness and the number of the pipe.
+    The last command-line argument is the number of the pipe.
     """
-    *_, niceness, number = sys.argv
-    if hasattr(os, "nice"):
-        os.nice(int(niceness))
     for name in _SIGNALS:  # a service manager signals all processes; the server ends this one after its last answer
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
-    pipe = Connection(int(number))
+    pipe = Connection(int(sys.argv[-1]))
     try:
         setup: ProcessSetup = pipe.recv()
         if setup.log is not None:

@@ -34,13 +34,13 @@ class RequestWorker:
     Args:
         hands: the served hands.
         limits: limits on requests.
-        niceness: how far its priority is below that of the server.
-        command: command line of the process; niceness and the number of its pipe are appended.
+        niceness: how far its priority is below that of the server; as in `start_worker`.
+        command: command line of the process; the number of its pipe is appended.
     """
 
     def __init__(self, hands: Sequence[Hand], limits: ServerLimits, niceness: int, command: tuple[str, ...] = COMMAND) -> None:
         self._setup = ProcessSetup(hands, limits, present_logging())
-        self._command = (*command, str(niceness))
+        self._command, self._niceness = command, niceness
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
         self._pipe: Connection | None = None
@@ -49,7 +49,7 @@ class RequestWorker:
 
     def start(self) -> None:
         """Start the process, and do not wait until it can answer."""
-        process, ours = start_piped_worker(self._command)
+        process, ours = start_piped_worker(self._command, self._niceness)
         with self._lock:
             self._process, self._pipe, self._sent_setup = process, ours, None
         if self._is_closed:

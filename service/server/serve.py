@@ -20,7 +20,6 @@ from threadpoolctl import threadpool_limits
 
 from graspforce.core.optional_libraries import optional_imports
 from graspforce.hand.hand import Hand
-from graspforce.service.realtime_scheduling import end_realtime_scheduling, use_realtime_scheduling
 from graspforce.service.server.deadline import Deadline
 from graspforce.service.server.hand_files import HandFiles
 from graspforce.service.server.server import Server
@@ -51,8 +50,6 @@ class ServeOptions:
         grace: time to wait for answers at the end, s.
         end_process: end the process with exit code 0 instead of returning: at most 0.6 s after the grace even if a solver or
             the network does not return, and at once at a second signal.
-        realtime: priority of real-time scheduling, as in `use_realtime_scheduling`; None for ordinary scheduling. Processes of
-            requests and plans stay ordinary.
     """
 
     on_ready: Callable[[Server], None] | None = None
@@ -61,7 +58,6 @@ class ServeOptions:
     watch: Sequence[str | os.PathLike[str] | Hand] = ()
     grace: float = _GRACE
     end_process: bool = False
-    realtime: int | None = None
 
 
 def serve(
@@ -120,8 +116,6 @@ def run_server(server: Server, options: ServeOptions) -> None:
         if options.end_process and len(received) > 1:
             _end_process()
 
-    if options.realtime is not None:
-        use_realtime_scheduling(options.realtime)  # before the server starts: its threads inherit it
     previous = {number: signal.signal(number, on_signal) for number in _SIGNALS}
     one_thread = threadpool_limits(1)  # small matrices gain nothing from more, which would take processors from streams
     switch_interval = sys.getswitchinterval()
@@ -162,8 +156,6 @@ def run_server(server: Server, options: ServeOptions) -> None:
             monitoring.close()
         sys.setswitchinterval(switch_interval)
         one_thread.restore_original_limits()
-        if options.realtime is not None:
-            end_realtime_scheduling()
         gc.unfreeze()
         for number, handler in previous.items():
             signal.signal(number, handler)

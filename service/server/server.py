@@ -20,6 +20,7 @@ attachment of a query identifies its client (`graspforce.service.server.client_s
 from __future__ import annotations
 
 import atexit
+import contextlib
 import dataclasses
 import logging
 import os
@@ -35,6 +36,7 @@ from zenoh.handlers import Callback
 
 from graspforce.core.errors import ServiceError
 from graspforce.hand.hand import Hand
+from graspforce.service.realtime_scheduling import ServerPriorities
 from graspforce.service.recording.exchange import REQUEST, recorded
 from graspforce.service.recording.recorder import Recorder
 from graspforce.service.server.client_sessions import OTHERS, ClientSessions
@@ -99,6 +101,8 @@ class Server:
         lease: time without a sign of life after which clients and routers give up the server, and the server its streams, s; by
             default `REPLICA_LEASE` with `connect`, otherwise Zenoh's 10 s, and the server keeps its streams.
         record: MCAP file in which to record requests, states and replies; an existing file is replaced. None for none.
+        realtime: highest priority of the real-time scheduling of this process from `start` to `close`, from 1 to 49, on Linux;
+            None for ordinary scheduling. Worker and planning processes stay ordinary.
 
     Raises:
         UnknownName: a hand does not exist.
@@ -123,6 +127,7 @@ class Server:
         worker_processes: bool = False,
         lease: float | None = None,
         record: str | os.PathLike[str] | None = None,
+        realtime: int | None = None,
     ) -> None:
         self.id = uuid.uuid4().hex
         self._hands = loaded = [hand if isinstance(hand, Hand) else Hand.load(hand) for hand in hands]
@@ -147,6 +152,7 @@ class Server:
         self._worker_processes = worker_processes
         self._workers: dict[CostClass, RequestWorkers] = {}
         self._recorder = None if record is None else Recorder(Path(record))
+        self._priorities = ServerPriorities(realtime)
         self._session: zenoh.Session | None = None
         self._closing = threading.Event()
 
@@ -162,22 +168,18 @@ class Server:
 
         Raises:
             ServiceError: the address is in use or invalid; the message names it.
+            InvalidInput: the system does not permit real-time scheduling.
         """
-        try:
-            session = zenoh.open(self._config)
-        except zenoh.ZError as error:
-            address, reason = self._listen or "the configured address", describe_zenoh_error(error)
-            hint = "; stop the other program, or listen on another port" if "in use" in reason else ""
-            raise ServiceError(f"cannot listen on {address}: {reason}{hint}") from None
+        with contextlib.ExitStack() as undo:
+            undo.callback(self._priorities.end)
+            self._priorities.apply()
+            session = self._open_session()
+            undo.callback(session.close)
+            if self._recorder is not None:
+                self._recorder.start(self._hands, dataclasses.asdict(self._limits))  # OSError: the file cannot be written
+            undo.pop_all()
         self._session = session
         self.addresses = find_addresses(session, self._config)
-        if self._recorder is not None:
-            try:
-                self._recorder.start(self._hands, dataclasses.asdict(self._limits))
-            except BaseException:  # such as OSError: the file cannot be written
-                self._session = None
-                session.close()
-                raise
         if self._worker_processes:
             self._workers = self._queue_options.start_workers(self._hands, self._limits)
         self._lease.start()
@@ -193,6 +195,20 @@ class Server:
             self._handler.plans.start_processes(_PLANNERS_DELAY)
         self._token = session.liveliness().declare_token(f"{protocol.PREFIX}/alive/{self.id}")
         atexit.register(self.close)  # without it, a script that does not close would hang in Zenoh's cleanup
+
+    def _open_session(self) -> zenoh.Session:
+        """Open the Zenoh session.
+
+        Raises:
+            ServiceError: the address is in use or invalid.
+        """
+        try:
+            with self._priorities.for_messages():
+                return zenoh.open(self._config)
+        except zenoh.ZError as error:
+            address, reason = self._listen or "the configured address", describe_zenoh_error(error)
+            hint = "; stop the other program, or listen on another port" if "in use" in reason else ""
+            raise ServiceError(f"cannot listen on {address}: {reason}{hint}") from None
 
     def close(self, grace: float | Deadline = _GRACE) -> None:
         """Stop serving: leave the replicas, close the streams, answer the waiting requests. A second call does nothing.
@@ -227,6 +243,7 @@ class Server:
         session.close()
         if self._recorder is not None:
             self._recorder.close(_RECORDING_TIME)
+        self._priorities.end()
         atexit.unregister(self.close)
 
     def load(self) -> ServerLoad:
@@ -341,7 +358,10 @@ class Server:
     def _open_channel(self, stream: ServerStream) -> None:
         """Connect a new stream to the network."""
         assert self._session is not None  # only a query opens a stream
-        self._channels[stream.id] = StreamChannel(self._session, stream, lambda: self._lease.holds, self._recorder)
+        priority = self._priorities.of_stream(stream.setup.period)
+        self._channels[stream.id] = StreamChannel(
+            self._session, stream, lambda: self._lease.holds, self._recorder, priority=priority
+        )
 
     def _close_channel(self, stream: ServerStream) -> None:
         """Disconnect a closed stream from the network."""

@@ -18,6 +18,7 @@ from collections.abc import Callable
 import zenoh
 from zenoh.handlers import RingChannel
 
+from graspforce.service.realtime_scheduling import schedule_thread
 from graspforce.service.recording.exchange import STATE, recorded
 from graspforce.service.recording.recorder import Recorder
 from graspforce.service.server.server_stream import ServerStream
@@ -40,6 +41,7 @@ class StreamChannel:
         may_answer: whether the server may still answer states, checked before each command
             (`graspforce.service.server.process_lease`).
         recorder: records the states and commands; None for none.
+        priority: real-time priority of the thread; None for that of the thread which makes the channel.
     """
 
     def __init__(
@@ -48,6 +50,8 @@ class StreamChannel:
         stream: ServerStream,
         may_answer: Callable[[], bool] = lambda: True,
         recorder: Recorder | None = None,
+        *,
+        priority: int | None = None,
     ) -> None:
         key = f"{protocol.PREFIX}/streams/{stream.id}"
         self._stream, self._may_answer, self._recorder = stream, may_answer, recorder
@@ -55,7 +59,7 @@ class StreamChannel:
         self._samples = _Samples(session, f"{key}/{protocol.SAMPLED}")
         self._states = session.declare_subscriber(f"{key}/state", RingChannel(1 if stream.key is None else _RING_SIZE))
         self._handler = self._states.handler  # here: `close` in another thread blocks this attribute for a moment
-        self._thread = threading.Thread(target=self._run, name=f"stream-{stream.id}", daemon=True)
+        self._thread = threading.Thread(target=self._run, args=(priority,), name=f"stream-{stream.id}", daemon=True)
         self._thread.start()
 
     def close(self, is_server_closing: bool = False) -> None:
@@ -72,8 +76,9 @@ class StreamChannel:
         self._commands.undeclare()
         self._samples.close()
 
-    def _run(self) -> None:
+    def _run(self, priority: int | None) -> None:
         """Publish a command for each newest state until the channel is closed."""
+        schedule_thread(priority)
         command = self._stream.command
         while True:
             try:

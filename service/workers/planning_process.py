@@ -6,7 +6,6 @@ process of its own has a lower priority, keeps the equations of each hand betwee
 
 from __future__ import annotations
 
-import os
 import select
 import sys
 import time
@@ -43,7 +42,6 @@ from graspforce.service.workers.jobs import (
     make_stopped_failure,
 )
 
-_NICENESS = 10  # control has priority if processors are short
 _PROGRESS_PERIOD = 0.05  # s, between progress messages within a stage
 
 
@@ -193,8 +191,6 @@ def main() -> None:
     *_, memory, number = sys.argv
     limit_memory(int(memory))
     pipe = Connection(int(number))
-    if hasattr(os, "nice"):
-        os.nice(_NICENESS)
     hands = HandCache()
 
     def cancelled() -> bool:

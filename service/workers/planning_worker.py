@@ -32,6 +32,7 @@ from graspforce.service.workers.worker_process import start_piped_worker
 log = logging.getLogger("graspforce.service")
 
 GRACE = 0.5  # s after the budget, or after a cancel, in which the process may still answer
+_NICENESS = 10  # of the process: streams have priority if processors are short
 _KILL_DELAY = 20.0  # s after that until it is killed
 _POLL_PERIOD = 0.05  # s, between checks of the clock
 _START = "from graspforce.service.workers.planning_process import main; main()"
@@ -162,7 +163,7 @@ class PlanningWorker:
             if self._pipe is not None and self._process is not None and self._process.poll() is None:
                 return self._pipe
         self._kill_process()
-        process, ours = start_piped_worker(self._command)
+        process, ours = start_piped_worker(self._command, _NICENESS)
         with self._lock:
             self._process, self._pipe = process, ours
         return ours

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from graspforce.core.errors import InvalidInput
-from graspforce.service import use_realtime_scheduling
+from graspforce.service import Client, use_realtime_scheduling
+from graspforce.service.realtime_scheduling import ServerPriorities
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="real-time scheduling needs Linux")
 _TIMEOUT = 60.0  # s, of a process
 
+_TESTS = str(Path(__file__).parents[1])
 _IMPORTS = """
 import os, resource, subprocess, sys, threading
 from graspforce.core.errors import InvalidInput
@@ -32,8 +36,10 @@ def child_policy():
 
 def run(program: str) -> str:
     """Return what a program prints in a process of its own."""
-    command = [sys.executable, "-c", _IMPORTS + program]
-    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=_TIMEOUT).stdout.strip()
+    command, environment = [sys.executable, "-c", _IMPORTS + program], {**os.environ, "PYTHONPATH": _TESTS}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_TIMEOUT, env=environment)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
 
 
 @pytest.fixture
@@ -111,8 +117,10 @@ def realtime_server(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=tmp_path) as process:
         try:
             assert process.stdout is not None
-            assert process.stdout.readline().startswith("Serving on")
-            yield process
+            address = process.stdout.readline().removeprefix("Serving on ").split(";")[0]
+            with Client(address, timeout=_TIMEOUT) as client:
+                assert client.status().streams == 0  # Zenoh starts its receivers with the first connection
+                yield process
         finally:
             process.terminate()
             process.wait(_TIMEOUT)
@@ -123,10 +131,71 @@ def test_all_threads_of_a_realtime_server_are_realtime_and_its_workers_are_not(
     realtime_server: subprocess.Popen[str],
 ) -> None:
     tasks = Path(f"/proc/{realtime_server.pid}/task")
-    threads = [int(each.name) for each in tasks.iterdir()]
-    assert len(threads) > 10  # those of Zenoh among them
-    assert {os.sched_getscheduler(each) for each in threads} == {os.SCHED_FIFO}
-    assert {os.sched_getparam(each).sched_priority for each in threads} == {7}
+    names = {int(each.name): (each / "comm").read_text().strip() for each in tasks.iterdir()}
+    priorities = {thread: os.sched_getparam(thread).sched_priority for thread in names}
+    assert {os.sched_getscheduler(each) for each in names} == {os.SCHED_FIFO}
+    receivers = [thread for thread, name in names.items() if name.startswith(("rx-", "tx-"))]
+    assert {priorities[each] for each in receivers} == {7}  # Zenoh's
+    assert priorities[realtime_server.pid] == 2
+    assert set(priorities.values()) == {2, 7}
     children = [int(each) for task in tasks.iterdir() for each in (task / "children").read_text().split()]
     assert len(children) >= 3
     assert {os.sched_getscheduler(each) for each in children} == {os.SCHED_OTHER}
+
+
+@pytest.mark.usefixtures("permitted")
+def test_a_stream_has_a_higher_priority_than_slower_streams_and_requests() -> None:
+    program = """
+
+from graspforce.control import ControlSettings
+from graspforce.service import Client, Server
+from support.control_requests import GRASP
+
+def priorities(prefix):
+    found = (thread.native_id for thread in threading.enumerate() if thread.name.startswith(prefix))
+    return [os.sched_getparam(each).sched_priority for each in found]
+
+with Server([GRASP.hand], listen="tcp/127.0.0.1:0", realtime=9) as server, Client(server.addresses[0]) as client:
+    found = []
+    for period in (1e-3, 4e-3, 0.1):
+        with client.open_stream(GRASP, ControlSettings(period=period)):
+            found += priorities("stream-")
+    print(found, priorities("idle-streams"), end=" ")
+print(policies() == {os.SCHED_OTHER})
+"""
+    assert run(program) == "[9, 7, 5] [4] True"
+
+
+@pytest.mark.parametrize("highest", [1, 3, 10, 49])
+def test_priorities_of_streams_never_rise_with_the_period_and_stay_in_range(highest: int) -> None:
+    priorities = ServerPriorities(highest)
+    found = [priorities.of_stream(period) for period in np.geomspace(1e-5, 10.0, 200)]
+    assert all(a is not None and b is not None and a >= b for a, b in itertools.pairwise(found))
+    assert found[0] == highest
+    lowest, requests = found[-1], priorities.requests
+    assert lowest is not None
+    assert requests is not None
+    assert 1 <= requests <= lowest
+    assert requests < lowest or highest <= 5  # too few priorities below the highest
+
+
+def test_ordinary_priorities_change_nothing() -> None:
+    priorities = ServerPriorities(None)
+    priorities.apply()
+    with priorities.for_messages():
+        assert os.sched_getscheduler(0) == os.SCHED_OTHER
+    priorities.end()
+    assert (priorities.requests, priorities.of_stream(1e-3)) == (None, None)
+
+
+def test_a_server_that_cannot_start_leaves_its_process_ordinary() -> None:
+    program = """
+from graspforce.core.errors import GraspForceError
+from graspforce.service import Server
+
+try:
+    Server(listen="tcp/256.0.0.1:0", realtime=5, insecure=True).start()
+except GraspForceError as error:
+    print(policies() == {os.SCHED_OTHER})
+"""
+    assert run(program) == "True"

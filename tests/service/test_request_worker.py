@@ -78,7 +78,7 @@ def test_process_without_an_answer_is_replaced(command, code, caplog):
     outcome, reply = worker.compute("solve", solve, MSGPACK, time.perf_counter())
     assert (outcome, decoded(reply)["error"], reply.ok) == (code, code, False)
     assert len(caplog.records) == 1
-    worker._command = (*COMMAND, "1")
+    worker._command = COMMAND
     worker._setup = RequestWorker([HAND], ServerLimits(), niceness=1)._setup
     assert worker.compute("solve", solve, MSGPACK, time.perf_counter())[0] == "ok"
     worker.close()

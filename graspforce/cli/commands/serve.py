@@ -64,7 +64,7 @@ def serve(
     ] = True,
     realtime: Annotated[
         int | None,
-        typer.Option(metavar="PRIORITY", min=1, max=49, help="Real-time priority of the streams' process, such as 10 (Linux)."),
+        typer.Option(metavar="PRIORITY", min=1, max=49, help="Highest real-time priority of the server, such as 10 (Linux)."),
     ] = None,
     lease: Annotated[
         float | None,
@@ -149,9 +149,10 @@ def serve(
         worker_processes=worker_processes,
         lease=lease,
         record=record,
+        realtime=realtime,
     )
     watched = hands if watch else ()
-    run_server(server, ServeOptions(ready, metrics, attach, watched, end_process=True, realtime=realtime))
+    run_server(server, ServeOptions(ready, metrics, attach, watched, end_process=True))
 
 
 def _with_view(
