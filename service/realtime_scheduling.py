@@ -75,8 +75,8 @@ def ordinary_scheduling() -> Iterator[None]:
 class ServerPriorities:
     """Real-time priorities of a server's threads; of streams the faster, the higher, as in rate-monotonic scheduling.
 
-    A thread that has received a state thus never waits for a slower stream or a request. With one priority for all threads it
-    would, because threads of equal priority do not interrupt each other.
+    A thread that has received a state thus interrupts slower streams and requests. With one priority for all threads it would
+    wait for them, because threads of equal priority do not interrupt each other.
 
     Args:
         highest: priority of Zenoh's threads and of streams with a period of 1 ms or less; None for ordinary scheduling.
