@@ -135,6 +135,9 @@ class ServerPriorities:
             yield
 
 
+ORDINARY = ServerPriorities(None)
+
+
 def schedule_thread(priority: int | None) -> None:
     """Schedule this thread by SCHED_FIFO.
 

@@ -14,6 +14,7 @@ import numpy as np
 import zenoh
 
 from graspforce.core.errors import GraspForceError, RequestRefused, ServiceError, ServiceTimeout
+from graspforce.service.realtime_scheduling import ORDINARY, ServerPriorities
 from graspforce.service.ros2 import messages
 from graspforce.service.ros2.action_server import ActionServer
 from graspforce.service.ros2.hold_control import HoldCommand, HoldControl
@@ -67,6 +68,7 @@ class GraspNode:
         begin_plan: function that begins a plan.
         options: names of topics and frames.
         router: Zenoh endpoint of the router of ROS 2.
+        priorities: real-time priorities of the server in this process; the control has that of a stream.
 
     Raises:
         ServiceError: no router listens at the endpoint.
@@ -75,7 +77,14 @@ class GraspNode:
             without TLS.
     """
 
-    def __init__(self, control: HoldControl, begin_plan: BeginPlan, options: NodeOptions, router: str = DEFAULT_ROUTER) -> None:
+    def __init__(
+        self,
+        control: HoldControl,
+        begin_plan: BeginPlan,
+        options: NodeOptions,
+        router: str = DEFAULT_ROUTER,
+        priorities: ServerPriorities = ORDINARY,
+    ) -> None:
         self._control, self._begin_plan, self._options = control, begin_plan, options
         self._start = time.time_ns()
         self._pose: PoseSample | None = None
@@ -84,10 +93,11 @@ class GraspNode:
         self._states = self._commands_sent = 0
         self._last_state = self._last_planned = -float("inf")
         self._closing = threading.Event()
-        self._session = _open_session(router, options.insecure)
+        with priorities.for_messages():
+            self._session = _open_session(router, options.insecure)
         try:
             self._node = Node(self._session, options.name)
-            self._declare()
+            self._declare(priorities.of_stream(control.settings.period))
         except BaseException:
             self._session.close()
             raise
@@ -108,8 +118,12 @@ class GraspNode:
         if not self._session.is_closed():
             self._session.close()
 
-    def _declare(self) -> None:
-        """Declare topics and services."""
+    def _declare(self, priority: int | None) -> None:
+        """Declare topics and services.
+
+        Args:
+            priority: real-time priority of the control.
+        """
         node, options = self._node, self._options
         self._commands = node.publish(options.commands, messages.NUMBERS)
         fingers = self._control.grasp.fingers
@@ -127,7 +141,9 @@ class GraspNode:
         node.subscribe(options.object_pose, messages.POSE, self._receive_pose, SENSOR_QOS)
         for finger in fingers if control.tips is not None else ():
             node.subscribe(f"~/contacts/{finger}", messages.WRENCH, partial(self._receive_wrench, finger), SENSOR_QOS)
-        self._joints = node.subscribe(options.joint_states, messages.JOINT_STATE, self._receive_joints, STATE_QOS)
+        self._joints = node.subscribe(
+            options.joint_states, messages.JOINT_STATE, self._receive_joints, STATE_QOS, priority=priority
+        )
 
     # ── messages ─────────────────────────────────────────────────────────────────────────────────────────────────────────
 

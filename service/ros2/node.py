@@ -14,6 +14,7 @@ import zenoh
 from zenoh.handlers import RingChannel
 
 from graspforce.core.errors import InvalidInput
+from graspforce.service.realtime_scheduling import schedule_thread
 from graspforce.service.ros2 import interfaces
 from graspforce.service.ros2.key_expressions import (
     DEFAULT_QOS,
@@ -94,17 +95,25 @@ class Subscription:
         type_name: name of the type of its messages.
         callback: called with each message.
         depth: number of messages that may wait.
+        priority: real-time priority of the thread of the topic; None for that of the thread which subscribes.
     """
 
     def __init__(
-        self, session: zenoh.Session, key: str, type_name: str, callback: Callable[[Any], None], depth: int = 10
+        self,
+        session: zenoh.Session,
+        key: str,
+        type_name: str,
+        callback: Callable[[Any], None],
+        depth: int = 10,
+        *,
+        priority: int | None = None,
     ) -> None:
         self._key, self._type, self._callback = key, type_name, callback
         self.refused = self.lost = 0
         self._last: Attachment | None = None
         self._subscriber = session.declare_subscriber(key, RingChannel(depth))
         self._receive = self._subscriber.handler.recv  # the subscriber cannot be used while `close` undeclares it
-        self._thread = threading.Thread(target=self._run, name=f"ros2-{key.split('/')[-3]}", daemon=True)
+        self._thread = threading.Thread(target=self._run, args=(priority,), name=f"ros2-{key.split('/')[-3]}", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
@@ -112,8 +121,9 @@ class Subscription:
         self._subscriber.undeclare()
         self._thread.join(_CLOSE_TIMEOUT)
 
-    def _run(self) -> None:
+    def _run(self, priority: int | None) -> None:
         """Call the function with each message until the subscription is closed."""
+        schedule_thread(priority)
         while True:
             try:
                 sample = self._receive()
@@ -231,7 +241,15 @@ class Node:
         self._parts.append(made)
         return made
 
-    def subscribe(self, topic: str, type_name: str, callback: Callable[[Any], None], qos: str = DEFAULT_QOS) -> Subscription:
+    def subscribe(
+        self,
+        topic: str,
+        type_name: str,
+        callback: Callable[[Any], None],
+        qos: str = DEFAULT_QOS,
+        *,
+        priority: int | None = None,
+    ) -> Subscription:
         """Subscribe to a topic.
 
         Args:
@@ -239,12 +257,13 @@ class Node:
             type_name: as in `publish`.
             callback: called with each message, in a thread of this topic.
             qos: quality of service.
+            priority: real-time priority of the thread; None for that of this one.
 
         Raises:
             InvalidInput: the name is not allowed.
         """
         key = self._declare(SUBSCRIPTION, topic, type_name, qos)
-        made = Subscription(self._session, key, type_name, callback, queue_depth(qos))
+        made = Subscription(self._session, key, type_name, callback, queue_depth(qos), priority=priority)
         self._parts.append(made)
         return made
 

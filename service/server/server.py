@@ -83,6 +83,7 @@ class Server:
     Attributes:
         id: id of the server, in its liveliness token and its status.
         addresses: Zenoh endpoints at which it listens, after `start`.
+        priorities: real-time priorities of its threads.
 
     Args:
         hands: hands to serve: names of shipped hands, paths of description files, or `Hand` objects.
@@ -152,7 +153,7 @@ class Server:
         self._worker_processes = worker_processes
         self._workers: dict[CostClass, RequestWorkers] = {}
         self._recorder = None if record is None else Recorder(Path(record))
-        self._priorities = ServerPriorities(realtime)
+        self.priorities = ServerPriorities(realtime)
         self._session: zenoh.Session | None = None
         self._closing = threading.Event()
 
@@ -171,8 +172,8 @@ class Server:
             InvalidInput: the system does not permit real-time scheduling.
         """
         with contextlib.ExitStack() as undo:
-            undo.callback(self._priorities.end)
-            self._priorities.apply()
+            undo.callback(self.priorities.end)
+            self.priorities.apply()
             session = self._open_session()
             undo.callback(session.close)
             if self._recorder is not None:
@@ -203,7 +204,7 @@ class Server:
             ServiceError: the address is in use or invalid.
         """
         try:
-            with self._priorities.for_messages():
+            with self.priorities.for_messages():
                 return zenoh.open(self._config)
         except zenoh.ZError as error:
             address, reason = self._listen or "the configured address", describe_zenoh_error(error)
@@ -243,7 +244,7 @@ class Server:
         session.close()
         if self._recorder is not None:
             self._recorder.close(_RECORDING_TIME)
-        self._priorities.end()
+        self.priorities.end()
         atexit.unregister(self.close)
 
     def load(self) -> ServerLoad:
@@ -358,7 +359,7 @@ class Server:
     def _open_channel(self, stream: ServerStream) -> None:
         """Connect a new stream to the network."""
         assert self._session is not None  # only a query opens a stream
-        priority = self._priorities.of_stream(stream.setup.period)
+        priority = self.priorities.of_stream(stream.setup.period)
         self._channels[stream.id] = StreamChannel(
             self._session, stream, lambda: self._lease.holds, self._recorder, priority=priority
         )

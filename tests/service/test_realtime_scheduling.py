@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.realtime import needs_realtime
 
 from graspforce.core.errors import InvalidInput
 from graspforce.service import Client, use_realtime_scheduling
@@ -42,15 +43,7 @@ def run(program: str) -> str:
     return done.stdout.strip()
 
 
-@pytest.fixture
-def permitted() -> None:
-    """Skip a test if this system does not permit real-time scheduling."""
-    program = "import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))"
-    if subprocess.run([sys.executable, "-c", program], capture_output=True, check=False, timeout=_TIMEOUT).returncode != 0:
-        pytest.skip("this system does not permit real-time scheduling")
-
-
-@pytest.mark.usefixtures("permitted")
+@needs_realtime
 def test_all_threads_become_realtime_those_that_run_and_those_that_start_later() -> None:
     program = """
 event, later = threading.Event(), []
@@ -66,7 +59,7 @@ print(later == [(os.SCHED_FIFO, 7)])
     assert run(program) == "True"
 
 
-@pytest.mark.usefixtures("permitted")
+@needs_realtime
 def test_processes_are_realtime_unless_they_start_within_ordinary_scheduling() -> None:
     program = """
 use_realtime_scheduling(7)
@@ -126,7 +119,7 @@ def realtime_server(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
             process.wait(_TIMEOUT)
 
 
-@pytest.mark.usefixtures("permitted")
+@needs_realtime
 def test_all_threads_of_a_realtime_server_are_realtime_and_its_workers_are_not(
     realtime_server: subprocess.Popen[str],
 ) -> None:
@@ -143,7 +136,7 @@ def test_all_threads_of_a_realtime_server_are_realtime_and_its_workers_are_not(
     assert {os.sched_getscheduler(each) for each in children} == {os.SCHED_OTHER}
 
 
-@pytest.mark.usefixtures("permitted")
+@needs_realtime
 def test_a_stream_has_a_higher_priority_than_slower_streams_and_requests() -> None:
     program = """
 

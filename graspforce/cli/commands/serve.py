@@ -202,7 +202,7 @@ def _ros2_node(
         raise InvalidInput("--hand", list(hands), "one hand, with --ros2")
     node, hold = read_settings(settings, insecure)
     control = HoldControl(Grasp.load(file, Hand.load(hands[0])), hold)
-    return lambda server: GraspNode(control, server.begin_plan, node, router)
+    return lambda server: GraspNode(control, server.begin_plan, node, router, server.priorities)
 
 
 @app.command(epilog="Example: graspforce demo --steps 200 --plot carry.png")

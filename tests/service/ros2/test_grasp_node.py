@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 
 import numpy as np
 import pytest
 from support.box_grasp import make_grasp
+from support.realtime import needs_realtime
 from support.ros2_peer import HOST, peer, router
 from support.servers import ANY_LOCAL_PORT, TIMEOUT, wait_until
 from zenoh_ros2_sdk.discovery import get_service_names_and_types, get_topic_names_and_types
@@ -15,6 +17,7 @@ from zenoh_ros2_sdk.discovery import get_service_names_and_types, get_topic_name
 from graspforce.control import ControlSettings
 from graspforce.core.errors import InvalidInput, ServiceError
 from graspforce.service import Server
+from graspforce.service.realtime_scheduling import ServerPriorities
 from graspforce.service.ros2 import interfaces, messages
 from graspforce.service.ros2.action_server import ABORTED, SUCCEEDED, UNKNOWN
 from graspforce.service.ros2.grasp_node import GraspNode, NodeOptions
@@ -92,7 +95,21 @@ def network():
         control = HoldControl(GRASP, OPTIONS)
         options = NodeOptions(NodeName("graspforce", "/left"))
         with GraspNode(control, server.begin_plan, options, address), Robot(joined) as robot:
+            wait_until(lambda: control._sample is not None)  # the first joint state
             yield robot, control, joined
+
+
+@needs_realtime
+def test_control_of_a_realtime_server_has_the_priority_of_a_stream_of_its_rate():
+    priorities = ServerPriorities(9)
+    with router() as address:
+        before = set(threading.enumerate())
+        with GraspNode(HoldControl(GRASP, OPTIONS), lambda *request: None, NodeOptions(), address, priorities):
+            started = {thread.name: thread for thread in set(threading.enumerate()) - before}
+            control = started["ros2-joint_states"].native_id
+            wait_until(lambda: os.sched_getscheduler(control) == os.SCHED_FIFO)
+            assert os.sched_getparam(control).sched_priority == priorities.of_stream(1.0 / OPTIONS.rate) == 7
+            assert os.sched_getscheduler(started["ros2-diagnostics"].native_id) == os.SCHED_OTHER  # that of this thread
 
 
 def test_a_robot_opens_moves_and_releases_a_grasp(network):
