@@ -473,6 +473,7 @@ def test_serve_passes_its_options_on(run: Any, monkeypatch: pytest.MonkeyPatch) 
     arguments = ("serve", "--hand", "four_finger", "--hand", "mine.json", "--listen", "tcp/127.0.0.1:0", "--config", "z.json5")
     options = ("--workers", "3", "--limit", "streams=8", "--limit", "idle_timeout=2.5", "--metrics", "9464")
     options += ("--connect", "tcp/127.0.0.1:7447", "--large-workers", "2", "--lease", "0.25", "--watch", "--record", "day.mcap")
+    options += ("--realtime", "7")
     code, out, err = run(*arguments, *options)
     assert (code, err) == (0, "")
     assert out == (
@@ -484,7 +485,7 @@ def test_serve_passes_its_options_on(run: Any, monkeypatch: pytest.MonkeyPatch) 
     assert (asked.pop("insecure"), asked.pop("secure"), asked.pop("large_threads")) == (False, None, 2)
     assert (asked.pop("connect"), asked.pop("worker_processes")) == (["tcp/127.0.0.1:7447"], True)
     assert (asked.pop("lease"), asked.pop("watch")) == (0.25, ["four_finger", "mine.json"])
-    assert asked.pop("record") == Path("day.mcap")
+    assert (asked.pop("record"), asked.pop("realtime")) == (Path("day.mcap"), 7)
     assert asked == {"hands": ["four_finger", "mine.json"], "config": Path("z.json5"), "listen": "tcp/127.0.0.1:0"}
     for wrong, message in (("stream=8", "streams"), ("streams=x", "whole number"), ("streams=0", "greater than 0")):
         code, _, err = run("serve", "--limit", wrong)
