@@ -53,7 +53,6 @@ SLOW_STREAMS, SLOW_PERIOD = 4, 4e-3  # s
 REQUESTS = Load("mixed", rate=50.0)
 PLANS = Load("plans", rate=0.5, outstanding=1, budget=2.0)
 LATE = 20e-3  # s
-TENTH = 0.1  # of the time
 BARE, REALTIME = "echo", "real-time echo"
 POINTS = 500  # states that are repeated
 
@@ -163,8 +162,8 @@ def judge(samples: Samples, requests: LoadResult, plans: LoadResult) -> list[Row
             all_slope <= 1.0,
         ),
         _row("memory of the server's process", f"{samples.memory[-1]:.0f} MiB, {slope:+.1f} MiB/h", "+1 MiB/h", slope <= 1.0),
-        _flat_row("open files", samples.times, samples.files),
-        _flat_row("threads", samples.times, samples.threads),
+        _flat_row("open files", samples.files),
+        _flat_row("threads", samples.threads),
     ]
 
 
@@ -195,13 +194,10 @@ def _compare(samples: Samples, name: str, echo: Array) -> list[Row]:
     ]
 
 
-def _flat_row(quantity: str, times: Sequence[float], counts: Sequence[int]) -> Row:
-    """Return the row of a number that must not grow."""
-    share = np.array(times) / times[-1]
-    begin, end = (
-        float(np.median(np.array(counts)[(share >= start) & (share <= start + TENTH)])) if len(times) > 20 else float(counts[k])
-        for start, k in ((TENTH, 0), (1.0 - TENTH, -1))
-    )
+def _flat_row(quantity: str, counts: Sequence[int]) -> Row:
+    """Return the row of a number that must not grow from the second to the last tenth of the run."""
+    tenth = max(len(counts) // 10, 1)
+    begin, end = float(np.median(counts[tenth : 2 * tenth] or counts[:1])), float(np.median(counts[-tenth:]))
     return _row(f"{quantity} at begin and end", f"{begin:g} and {end:g}", "no more", end <= begin)
 
 

@@ -73,7 +73,7 @@ def ordinary_scheduling() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class ServerPriorities:
-    """Real-time priorities of a server's threads; of streams the faster, the higher, as in rate-monotonic scheduling.
+    """Real-time priorities of a server's threads. Faster streams have higher ones, as in rate-monotonic scheduling.
 
     A thread that has received a state thus interrupts slower streams and requests. With one priority for all threads it would
     wait for them, because threads of equal priority do not interrupt each other.
@@ -96,7 +96,7 @@ class ServerPriorities:
 
     @property
     def requests(self) -> int | None:
-        """Priority of all other threads, which is below that of every stream."""
+        """Priority of all other threads: below that of every stream if `highest` is at least 6, otherwise 1."""
         return None if self.highest is None else max(self.highest - _STREAM_LEVELS, 1)
 
     def of_stream(self, period: float) -> int | None:
@@ -117,7 +117,7 @@ class ServerPriorities:
             InvalidInput: as in `use_realtime_scheduling`.
         """
         if self.highest is not None:
-            use_realtime_scheduling(self.highest)  # with its errors
+            use_realtime_scheduling(self.highest)  # checks that the highest priority is permitted
             _schedule_threads(os.SCHED_FIFO, self.requests or 1)
 
     def end(self) -> None:

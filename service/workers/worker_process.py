@@ -3,7 +3,7 @@
 Each is in a process group of its own, so that Ctrl-C in a terminal reaches the server only, which then ends its processes in
 order. It stays in the server's session: with `sched_autogroup_enabled`, Linux gives each session an equal share of the
 processors, and the niceness of a process counts only within its session. It is an ordinary process also if the server has
-real-time scheduling. Streams then need no niceness of others, which would only take processor time from requests.
+real-time scheduling. Its niceness is then less: it would take processor time from requests, and streams do not need it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from graspforce.service.realtime_scheduling import is_realtime, ordinary_schedul
 
 # One thread for each library: small matrices gain nothing from more.
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-_REALTIME_NICENESS = 10  # of the niceness, what a server with real-time scheduling does not need
+_NICENESS_REDUCTION = 10  # beside a server with real-time scheduling
 
 
 def start_worker(
@@ -41,7 +41,7 @@ def start_worker(
     output = subprocess.DEVNULL  # some solvers print banners that no option turns off
     environment, inherited = worker_environment(), tuple(pass_fds)
     if is_realtime():
-        niceness = max(niceness - _REALTIME_NICENESS, 0)
+        niceness = max(niceness - _NICENESS_REDUCTION, 0)
     with ordinary_scheduling():
         if sys.version_info >= (3, 11):
             process = subprocess.Popen(

@@ -151,8 +151,9 @@ def serve(
         record=record,
         realtime=realtime,
     )
-    watched = hands if watch else ()
-    run_server(server, ServeOptions(ready, metrics, attach, watched, end_process=True))
+    run_server(
+        server, ServeOptions(on_ready=ready, metrics=metrics, attach=attach, watch=hands if watch else (), end_process=True)
+    )
 
 
 def _with_view(
