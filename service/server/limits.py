@@ -25,6 +25,8 @@ class ServerLimits:
         matrix_entries: entries of a problem's dense constraint matrix (``too_large``).
         streams: open control streams (``overloaded``).
         client_streams: open control streams of a client (``overloaded``).
+        realtime_states: states a second of all streams with the real-time priority of their period, by their periods; further
+            streams have the priority of requests.
         plans: moves that are planned at the same time, each in a process of its own (``overloaded``).
         client_plans: active and waiting plans of a client (``overloaded``).
         waiting_plans: plans that wait for a process; clients take turns (``overloaded``).
@@ -42,6 +44,7 @@ class ServerLimits:
     matrix_entries: int = 5_000_000
     streams: int = 64
     client_streams: int = 16
+    realtime_states: int = 3000
     plans: int = 2
     client_plans: int = 2
     waiting_plans: int = 8

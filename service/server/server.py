@@ -51,6 +51,7 @@ from graspforce.service.server.request_worker import RequestWorkers
 from graspforce.service.server.server_load import ServerLoad
 from graspforce.service.server.server_stream import ServerStream
 from graspforce.service.server.stream_channel import StreamChannel
+from graspforce.service.server.stream_priorities import StreamPriorities
 from graspforce.service.server.work_queues import (
     CancelRequest,
     CostClass,
@@ -154,6 +155,7 @@ class Server:
         self._workers: dict[CostClass, RequestWorkers] = {}
         self._recorder = None if record is None else Recorder(Path(record))
         self.priorities = ServerPriorities(realtime)
+        self._stream_priorities = StreamPriorities(self.priorities, self._limits.realtime_states)
         self._session: zenoh.Session | None = None
         self._closing = threading.Event()
 
@@ -359,7 +361,7 @@ class Server:
     def _open_channel(self, stream: ServerStream) -> None:
         """Connect a new stream to the network."""
         assert self._session is not None  # only a query opens a stream
-        priority = self.priorities.of_stream(stream.setup.period)
+        priority = self._stream_priorities.open(stream.id, stream.setup.period)
         self._channels[stream.id] = StreamChannel(
             self._session, stream, lambda: self._lease.holds, self._recorder, priority=priority
         )
@@ -367,6 +369,7 @@ class Server:
     def _close_channel(self, stream: ServerStream) -> None:
         """Disconnect a closed stream from the network."""
         self._channels.pop(stream.id).close(is_server_closing=self._closing.is_set())
+        self._stream_priorities.close(stream.id)
 
     def _expire_streams(self) -> None:
         """Close idle streams, and end the work of clients that have disconnected, until the server closes."""

@@ -22,6 +22,7 @@ from graspforce.service.realtime_scheduling import schedule_thread
 from graspforce.service.recording.exchange import STATE, recorded
 from graspforce.service.recording.recorder import Recorder
 from graspforce.service.server.server_stream import ServerStream
+from graspforce.service.server.stream_priorities import StreamPriority
 from graspforce.service.wire import protocol
 from graspforce.service.wire.reply import Reply, make_error_reply
 from graspforce.service.zenoh_session import MSGPACK_ENCODING, describe_zenoh_error, read_encoding
@@ -41,7 +42,7 @@ class StreamChannel:
         may_answer: whether the server may still answer states, checked before each command
             (`graspforce.service.server.process_lease`).
         recorder: records the states and commands; None for none.
-        priority: real-time priority of the thread; None for that of the thread which makes the channel.
+        priority: real-time priority of the thread; None for the scheduling of the thread which makes the channel.
     """
 
     def __init__(
@@ -51,15 +52,15 @@ class StreamChannel:
         may_answer: Callable[[], bool] = lambda: True,
         recorder: Recorder | None = None,
         *,
-        priority: int | None = None,
+        priority: StreamPriority | None = None,
     ) -> None:
         key = f"{protocol.PREFIX}/streams/{stream.id}"
-        self._stream, self._may_answer, self._recorder = stream, may_answer, recorder
+        self._stream, self._may_answer, self._recorder, self._priority = stream, may_answer, recorder, priority
         self._commands = session.declare_publisher(f"{key}/command", congestion_control=zenoh.CongestionControl.DROP)
         self._samples = _Samples(session, f"{key}/{protocol.SAMPLED}")
         self._states = session.declare_subscriber(f"{key}/state", RingChannel(1 if stream.key is None else _RING_SIZE))
         self._handler = self._states.handler  # here: `close` in another thread blocks this attribute for a moment
-        self._thread = threading.Thread(target=self._run, args=(priority,), name=f"stream-{stream.id}", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=f"stream-{stream.id}", daemon=True)
         self._thread.start()
 
     def close(self, is_server_closing: bool = False) -> None:
@@ -76,9 +77,9 @@ class StreamChannel:
         self._commands.undeclare()
         self._samples.close()
 
-    def _run(self, priority: int | None) -> None:
+    def _run(self) -> None:
         """Publish a command for each newest state until the channel is closed."""
-        schedule_thread(priority)
+        schedule_thread(None if self._priority is None else self._priority.present)
         command = self._stream.command
         while True:
             try:
@@ -101,9 +102,11 @@ class StreamChannel:
         Raises:
             zenoh.ZError: the channel is closed.
         """
-        handler, newest = self._handler, None
+        handler, priority, newest = self._handler, self._priority, None
         sample: zenoh.Sample | None = handler.recv()
         while sample is not None:
+            if priority is not None and priority.count_state(time.perf_counter()):
+                schedule_thread(priority.present)
             payload, attachment = sample.payload.to_bytes(), sample.attachment
             if self._stream.accepts(payload, b"" if attachment is None else attachment.to_bytes()):
                 newest = payload, read_encoding(sample.encoding)
