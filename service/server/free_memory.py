@@ -1,11 +1,25 @@
-"""Return of free memory to the operating system."""
+"""Free memory of the process: one heap for all threads, and its return to the operating system. For the GNU C library."""
 
 from __future__ import annotations
 
 import ctypes
 import ctypes.util
+import os
 from functools import cache
 from typing import Any
+
+_M_ARENA_MAX = -8  # of malloc.h
+
+
+def share_heap() -> None:
+    """Let all threads that start later share one heap, with the GNU C library; otherwise do nothing.
+
+    Otherwise most threads get heaps of their own, and each keeps the free memory of its own largest amount of work. The
+    process then grows for hours. Does nothing if the environment has a number of heaps, ``MALLOC_ARENA_MAX``.
+    """
+    set_option = _c_function("mallopt")
+    if set_option is not None and "MALLOC_ARENA_MAX" not in os.environ:
+        set_option(_M_ARENA_MAX, 1)
 
 
 def release_free_memory() -> None:
@@ -13,15 +27,15 @@ def release_free_memory() -> None:
 
     After large messages the heap keeps their memory. The call takes some milliseconds and does not hold Python's lock.
     """
-    trim = _trim_function()
+    trim = _c_function("malloc_trim")
     if trim is not None:
         trim(0)
 
 
 @cache
-def _trim_function() -> Any:
-    """Return ``malloc_trim``; None if the C library does not have it."""
+def _c_function(name: str) -> Any:
+    """Return a function of the C library; None if it does not have it."""
     try:
-        return ctypes.CDLL(ctypes.util.find_library("c")).malloc_trim
+        return getattr(ctypes.CDLL(ctypes.util.find_library("c")), name)
     except (OSError, AttributeError, TypeError):
         return None

@@ -21,6 +21,7 @@ from threadpoolctl import threadpool_limits
 from graspforce.core.optional_libraries import optional_imports
 from graspforce.hand.hand import Hand
 from graspforce.service.server.deadline import Deadline
+from graspforce.service.server.free_memory import share_heap
 from graspforce.service.server.hand_files import HandFiles
 from graspforce.service.server.server import Server
 from graspforce.service.server.service_manager import ServiceManager
@@ -120,6 +121,8 @@ def run_server(server: Server, options: ServeOptions) -> None:
     one_thread = threadpool_limits(1)  # small matrices gain nothing from more, which would take processors from streams
     switch_interval = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_INTERVAL)
+    if options.end_process:
+        share_heap()
     manager, monitoring, attached = ServiceManager(), None, ExitStack()
     try:
         server.start()

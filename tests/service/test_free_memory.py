@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 import time
 
@@ -25,6 +27,41 @@ def test_heap_shrinks_after_many_blocks_are_freed():
     release_free_memory()
     assert len(keep) == 100_000
     assert top - resident_bytes() > 40e6
+
+
+_COUNT_HEAPS = """
+import ctypes, sys, threading
+from graspforce.service.server.free_memory import share_heap
+
+if sys.argv[1] == "shared":
+    share_heap()
+barrier = threading.Barrier(5)
+
+def work():
+    blocks = [bytes(5000 + i) for i in range(50)]  # larger than those that Python allocates itself
+    barrier.wait(10.0)
+
+threads = [threading.Thread(target=work) for _ in range(4)]
+for thread in threads:
+    thread.start()
+c = ctypes.CDLL(None)
+c.fopen.restype = ctypes.c_void_p
+file = ctypes.c_void_p(c.fopen(sys.argv[2].encode(), b"w"))
+barrier.wait(10.0)
+c.malloc_info(0, file)
+c.fclose(file)
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="malloc_info is of the GNU C library")
+@pytest.mark.parametrize(("mode", "limit", "heaps"), [("shared", None, {1}), ("own", None, {2, 3, 4, 5}), ("shared", "3", {3})])
+def test_threads_share_one_heap_unless_the_environment_has_a_number_of_heaps(mode, limit, heaps, tmp_path):
+    environment = {name: value for name, value in os.environ.items() if name != "MALLOC_ARENA_MAX"}
+    if limit is not None:
+        environment["MALLOC_ARENA_MAX"] = limit
+    report = tmp_path / "report.xml"
+    subprocess.run([sys.executable, "-c", _COUNT_HEAPS, mode, str(report)], check=True, timeout=60.0, env=environment)
+    assert report.read_text().count("<heap nr=") in heaps
 
 
 @pytest.mark.parametrize(("size", "released"), [(32 * 2**20, 1), (2**10, 0)])
