@@ -1,21 +1,26 @@
 """A control stream beside other streams of a real-time server: `python -m benchmarks.other_streams`.
 
 This process steps a stream at 1 kHz against `graspforce serve --realtime 10`. In each period it also makes a round trip to a
-bare echo in another process. This process, server and echo have the same real-time priority. An ordinary process steps four
-more streams, whose period and rate differ from row to row. Another ordinary process computes all the time: its share of a
-processor shows what the real-time threads leave for other programs. Rows take turns, so that a drift of the machine's speed
-affects all of them equally.
+bare echo in another process. This process, server and echo have the same real-time priority. A fourth process steps four more
+streams, whose period and rate differ from row to row. It has a lower real-time priority, so that it gets the time that the
+others leave, as a client on another machine would. Rows take turns, so that a drift of the machine's speed affects all of them
+equally.
 
-Slower streams have a lower priority. Streams that exceed their declared period, and streams beyond the limit `realtime_states`
-of the server, have that of requests.
+Slower streams have a lower priority. Streams that exceed their declared period have that of requests. So have streams beyond
+the server's limit on the states a second of all real-time streams, `realtime_states`. One server has the default of this
+limit, another one a limit that no row reaches.
+
+The largest times are those of the system: Linux stops all real-time threads of a processor for 50 ms if they have used it for
+950 ms of a second, which the fourth process does.
 """
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
-import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -25,16 +30,21 @@ import numpy as np
 
 from benchmarks import report_page
 from benchmarks.control_stream import allegro_grasp, state_sequence
-from benchmarks.service_load import TIMEOUT, Echo, start_echo, start_server, start_streams
+from benchmarks.service_load import TIMEOUT, Echo, ServerUnderTest, python_process, read_line, start_echo, start_server
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, GraspState
 from graspforce.core.errors import GraspForceError
-from graspforce.service import Client, Stream, use_realtime_scheduling
+from graspforce.grasp.grasp import Grasp
+from graspforce.service import Client, Stream, StreamState, use_realtime_scheduling
 from graspforce.service.realtime_scheduling import DEFAULT_PRIORITY, end_realtime_scheduling
+from graspforce.service.server.limits import ServerLimits
+from graspforce.service.wire import protocol
 
 COUNT = 4  # other streams
+LIMITS = (ServerLimits().realtime_states, 10**6)  # states a second
 PERIOD = 1e-3  # s, of the measured stream
 POINTS = 500  # states that are repeated
+SEND = "send"  # role of the process of the other streams
 _TICK = 1.0 / os.sysconf("SC_CLK_TCK")  # s
 
 
@@ -70,28 +80,61 @@ class Trips:
     Args:
         stream: times of the stream's round trips, s.
         echo: times of the echo's round trips, s.
-        shares: of a processor for the ordinary process, in each turn.
+        shares: of a processor for the server's process, in each turn.
+        rates: states a second of all other streams that the server answered, in each turn.
     """
 
     stream: list[float] = field(default_factory=list)
     echo: list[float] = field(default_factory=list)
     shares: list[float] = field(default_factory=list)
+    rates: list[float] = field(default_factory=list)
+
+
+def _send_states(address: str, count: int, period: float, declared: float) -> None:
+    """Send states to several streams in turn until standard input closes. The commands are not read."""
+    grasp, ended = allegro_grasp(), threading.Event()
+    still = BodyMotion(grasp.p_HO, grasp.R_HO)
+    state = StreamState(0, 0.0, GraspState(grasp.q, np.zeros(grasp.hand.n), still), still, binary=True)
+    payload = state.encode(protocol.MSGPACK)
+    with Client(address, timeout=TIMEOUT) as client, contextlib.ExitStack() as stack:
+        settings = ControlSettings(period=declared)
+        streams = [stack.enter_context(client.open_stream(grasp, settings)) for _ in range(count)]
+        print("ready", flush=True)
+        threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
+        use_realtime_scheduling(1)
+        tick = time.perf_counter()
+        for stream in itertools.cycle(streams):
+            if ended.is_set():
+                break
+            stream._connection.send(payload)  # without the work of `step`, which would limit the rate
+            tick = max(tick + period / count, time.perf_counter())
+            time.sleep(max(tick - time.perf_counter(), 0.0))
 
 
 @contextlib.contextmanager
-def _ordinary_program() -> Iterator[int]:
-    """Run a process that computes all the time, and return its number."""
-    with subprocess.Popen([sys.executable, "-c", "while True: pass"]) as child:
-        try:
-            yield child.pid
-        finally:
-            child.kill()
+def _start_sender(address: str, period: float, declared: float) -> Iterator[None]:
+    """Send states to the other streams from another process.
+
+    Args:
+        address: endpoint of the server.
+        period: time between two states of each stream, s.
+        declared: control period of their settings, s.
+    """
+    with python_process("benchmarks.other_streams", SEND, address, str(COUNT), str(period), str(declared)) as child:
+        assert read_line(child) == "ready"
+        yield
 
 
 def _processor_time(pid: int) -> float:
     """Return the processor time of a process, s."""
     numbers = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(numbers[11]) + int(numbers[12])) * _TICK
+
+
+def _count_states(client: Client, stream: Stream) -> int:
+    """Return the number of states of the other open streams that the server has answered."""
+    others = (each for each in client.status().active_streams if each.id != stream.id)
+    return sum(each.outcomes.get("ok", 0) for each in others)
 
 
 def _drive(stream: Stream, points: list[tuple[GraspState, BodyMotion]], echo: Echo, seconds: float, trips: Trips) -> None:
@@ -110,54 +153,85 @@ def _drive(stream: Stream, points: list[tuple[GraspState, BodyMotion]], echo: Ec
         time.sleep(max(tick - time.perf_counter(), 0.0))
 
 
-def measure(rounds: int, seconds: float) -> dict[str, Trips]:
-    """Return the measurements by the name of the row.
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """A turn of a row.
+
+    Args:
+        row: the other streams.
+        server: the server.
+        client: of the server.
+        echo: the echo.
+    """
+
+    row: Others
+    server: ServerUnderTest
+    client: Client
+    echo: Echo
+
+    def run(self, grasp: Grasp, points: list[tuple[GraspState, BodyMotion]], seconds: float, trips: Trips) -> None:
+        """Step the stream and the echo for a time, and add the measurements."""
+        row, client = self.row, self.client
+        with client.open_stream(grasp, ControlSettings(), validity=TIMEOUT) as stream, contextlib.ExitStack() as others:
+            if row.declared is not None:
+                others.enter_context(_start_sender(self.server.address, row.period, row.declared))
+            begun, used, answered = time.perf_counter(), _processor_time(self.server.pid), _count_states(client, stream)
+            use_realtime_scheduling()
+            try:
+                _drive(stream, points, self.echo, seconds, trips)
+            finally:
+                end_realtime_scheduling()
+            elapsed = time.perf_counter() - begun  # s
+            trips.shares.append((_processor_time(self.server.pid) - used) / elapsed)
+            trips.rates.append((_count_states(client, stream) - answered) / elapsed)
+
+
+Measured = dict[tuple[int, str], Trips]  # by limit of the server and name of the row
+
+
+def measure(rounds: int, seconds: float) -> Measured:
+    """Return all measurements.
 
     Args:
         rounds: turns of each row.
         seconds: time of a turn, s.
     """
-    grasp, measured = allegro_grasp(), {row.name: Trips() for row in ROWS}
-    points = state_sequence(grasp, POINTS)
+    grasp, measured = allegro_grasp(), {(limit, row.name): Trips() for row in ROWS for limit in LIMITS}
+    points, priority = state_sequence(grasp, POINTS), str(DEFAULT_PRIORITY)
     with contextlib.ExitStack() as stack:
-        server = stack.enter_context(start_server("--realtime", str(DEFAULT_PRIORITY)))
+        limited = {limit: ("--realtime", priority, "--limit", f"realtime_states={limit}") for limit in LIMITS}
+        servers = {limit: stack.enter_context(start_server(*options)) for limit, options in limited.items()}
+        clients = {limit: stack.enter_context(Client(each.address, timeout=TIMEOUT)) for limit, each in servers.items()}
         echo = stack.enter_context(start_echo(realtime=DEFAULT_PRIORITY))
-        client = stack.enter_context(Client(server.address, timeout=TIMEOUT))
-        pid = stack.enter_context(_ordinary_program())
-        for row in ROWS * rounds:
-            with contextlib.ExitStack() as turn:
-                stream = turn.enter_context(client.open_stream(grasp, ControlSettings(), validity=TIMEOUT))
-                if row.declared is not None:
-                    turn.enter_context(start_streams(server.address, COUNT, row.period, row.declared))
-                begun, used = time.perf_counter(), _processor_time(pid)
-                use_realtime_scheduling()
-                try:
-                    _drive(stream, points, echo, seconds, measured[row.name])
-                finally:
-                    end_realtime_scheduling()
-                measured[row.name].shares.append((_processor_time(pid) - used) / (time.perf_counter() - begun))
+        for row, limit in itertools.product(ROWS * rounds, LIMITS):
+            turn = Turn(row, servers[limit], clients[limit], echo)
+            turn.run(grasp, points, seconds, measured[limit, row.name])
     return measured
 
 
-def rows_of(measured: dict[str, Trips]) -> list[tuple[str, ...]]:
+def rows_of(measured: Measured) -> list[tuple[str, ...]]:
     """Return the rows of the table."""
     rows = []
-    for name, trips in measured.items():
+    for (limit, name), trips in measured.items():
         stream, echo = np.array(trips.stream), np.array(trips.echo)
         times = 1e3 * np.concatenate([np.quantile(stream, [0.5, 0.99, 1.0]), np.quantile(echo, [0.5, 0.99])])
         ratio = float(np.quantile(stream, 0.99) / np.quantile(echo, 0.99))
         over = 100.0 * float(np.mean(stream > PERIOD))
-        share = 100.0 * float(np.mean(trips.shares))
-        rows.append((name, *(f"{t:.2f}" for t in times), f"{ratio:.2f}", f"{over:.1f} %", f"{share:.0f} %"))
+        share, rate = 100.0 * float(np.mean(trips.shares)), float(np.mean(trips.rates))
+        rows.append(
+            (name, str(limit), f"{rate:.0f}", *(f"{t:.2f}" for t in times), f"{ratio:.2f}", f"{over:.1f} %", f"{share:.0f} %")
+        )
     return rows
 
 
-def _show(measured: dict[str, Trips], save: Path | None) -> None:
+def _show(measured: Measured, save: Path | None) -> None:
     """Print the table and write the page."""
     head = (
         "four other streams",
+        "limit states/s",
+        "their states/s",
         *("stream ms", "99 %", "largest", "echo ms", "99 %", "99 % / 99 %", "over 1 ms"),
-        "ordinary program",
+        "processor of the server",
     )
     rows, title = rows_of(measured), "A control stream beside other streams"
     report_page.show(title, head, rows, width=140)
@@ -172,7 +246,7 @@ def _show(measured: dict[str, Trips], save: Path | None) -> None:
 def main() -> None:
     """Measure, print the table and write the page."""
     parser = report_page.parser("other_streams", __doc__)
-    parser.add_argument("--rounds", type=int, default=4, help="turns of each row")
+    parser.add_argument("--rounds", type=int, default=3, help="turns of each row")
     parser.add_argument("--seconds", type=float, default=5.0, help="time of a turn, s")
     options = parser.parse_args()
     try:
@@ -182,4 +256,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    if sys.argv[1:2] == [SEND]:
+        _send_states(sys.argv[2], int(sys.argv[3]), float(sys.argv[4]), float(sys.argv[5]))
+    else:
+        main()

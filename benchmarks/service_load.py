@@ -451,9 +451,9 @@ def _run_refusals() -> None:
         queryable.undeclare()
 
 
-def _run_streams(address: str, count: int, period: float, declared: float) -> None:
+def _run_streams(address: str, count: int, period: float) -> None:
     """Step several streams in turn, each once a period, until standard input closes."""
-    grasp, settings, is_open = allegro_grasp(), ControlSettings(period=declared), True
+    grasp, settings, is_open = allegro_grasp(), ControlSettings(period=period), True
     state = GraspState(grasp.q, np.zeros(grasp.hand.n), BodyMotion(grasp.p_HO, grasp.R_HO))
     with Client(address, timeout=TIMEOUT) as client, contextlib.ExitStack() as stack:
         streams = [stack.enter_context(client.open_stream(grasp, settings)) for _ in range(count)]
@@ -475,17 +475,15 @@ def _run_streams(address: str, count: int, period: float, declared: float) -> No
 
 
 @contextlib.contextmanager
-def start_streams(address: str, count: int, period: float, declared: float | None = None) -> Iterator[None]:
+def start_streams(address: str, count: int, period: float) -> Iterator[None]:
     """Step several streams from another process.
 
     Args:
         address: endpoint of the server.
         count: number of streams.
-        period: time between two states of each stream, s.
-        declared: control period of their settings, s. Default: `period`.
+        period: of each stream, s.
     """
-    periods = str(period), str(declared or period)
-    with python_process("benchmarks.service_load", "streams", address, str(count), *periods) as child:
+    with python_process("benchmarks.service_load", "streams", address, str(count), str(period)) as child:
         assert read_line(child) == "ready"
         yield
 
@@ -493,6 +491,6 @@ def start_streams(address: str, count: int, period: float, declared: float | Non
 if __name__ == "__main__":
     role, *arguments = sys.argv[1:]
     if role == "streams":
-        _run_streams(arguments[0], int(arguments[1]), float(arguments[2]), float(arguments[3]))
+        _run_streams(arguments[0], int(arguments[1]), float(arguments[2]))
     else:
         {"load": _run_client, "echo": _run_echo, "refuse": _run_refusals}[role](*arguments)

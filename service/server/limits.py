@@ -44,7 +44,7 @@ class ServerLimits:
     matrix_entries: int = 5_000_000
     streams: int = 64
     client_streams: int = 16
-    realtime_states: int = 3000
+    realtime_states: int = 2000
     plans: int = 2
     client_plans: int = 2
     waiting_plans: int = 8
