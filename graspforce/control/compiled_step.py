@@ -26,8 +26,8 @@ from graspforce.core.compiled import Block, native, new_block
 from graspforce.core.lazy_field import LazyField
 from graspforce.grasp.grasp import Grasp
 
-_Rows = tuple[Array | None, Array | None, Array | None]
-_GRASP_POSTURE: _Rows = (None, None, None)  # desired joint motion: the posture of the grasp, at rest
+JointRows = tuple[Array | None, Array | None, Array | None]
+_GRASP_POSTURE: JointRows = (None, None, None)  # desired joint motion: the posture of the grasp, at rest
 
 
 def step_parameters(
@@ -99,15 +99,18 @@ class CompiledStep:
     Args:
         grasp: hand, object and contacts.
         parameters: numbers of the grasp and of the settings, see `step_parameters`.
+
+    Attributes:
+        step: the `ControlStep` of the C code.
     """
 
     def __init__(self, grasp: Grasp, parameters: Mapping[str, Any]) -> None:
         hand = grasp.hand
-        self._step = native.ControlStep(**parameters)
+        self.step = native.ControlStep(**parameters)
         self._model, self._contacts, self._n = hand.model, grasp.contacts, hand.n
         self._posture = _GRASP_POSTURE
-        self._targets_dtype: np.dtype[np.void] = np.dtype(self._step.targets_layout)
-        self._result_dtype: np.dtype[np.void] = np.dtype(self._step.result_layout)
+        self._targets_dtype: np.dtype[np.void] = np.dtype(self.step.targets_layout)
+        self._result_dtype: np.dtype[np.void] = np.dtype(self.step.result_layout)
 
     def at_posture(self, q: Array) -> CompiledStep:
         """Return the step for the same contacts with another posture of the grasp.
@@ -115,9 +118,9 @@ class CompiledStep:
         Args:
             q: (n,) joint positions, rad.
         """
-        step, rest = copy.copy(self), np.zeros(self._n)
-        step._posture = q, rest, rest
-        return step
+        other, rest = copy.copy(self), np.zeros(self._n)
+        other._posture = q, rest, rest
+        return other
 
     def compute_targets(
         self, memory: ControlMemory, state: GraspState, desired: DesiredMotion, external: Array | None
@@ -131,9 +134,9 @@ class CompiledStep:
             external: as in `ObjectControlLaw.compute_targets`.
         """
         link_motion, measured, body = self._model.link_motion(state.q, state.v), state.object, object_motion(desired)
-        q_d, v_d, a_d = (desired.q, desired.v, desired.a) if isinstance(desired, GraspMotion) else self._posture
-        block = new_block(self._targets_dtype)
-        is_complete = self._step.compute_targets(
+        q_d, v_d, a_d = self.desired_joints(desired)
+        block = self.new_targets()
+        is_complete = self.step.compute_targets(
             q=state.q,
             v=state.v,
             p_HO=measured.p_HO,
@@ -167,7 +170,7 @@ class CompiledStep:
             shift: (N,) shift s/μ of each normal force, N.
         """
         w, tau = np.empty(6), np.empty(self._n)
-        self._step.apply_slip_margin(targets=block, tau_u=tau_u, shift=shift, w_shifted=w, tau_shifted=tau)
+        self.step.apply_slip_margin(targets=block, tau_u=tau_u, shift=shift, w_shifted=w, tau_shifted=tau)
         return w, tau
 
     def compute_result(
@@ -191,8 +194,8 @@ class CompiledStep:
             f: (k,) contact forces, N and N·m.
             rule: whether the integral grows.
         """
-        block = new_block(self._result_dtype)
-        flags = self._step.compute_result(
+        block = self.new_result()
+        flags = self.step.compute_result(
             q=q,
             tau_u=tau_u,
             f=f,
@@ -206,6 +209,31 @@ class CompiledStep:
             result=block,
         )
         block.setflags(write=False)
+        return self.read_result(block, flags)
+
+    def new_targets(self) -> Block:
+        """Return a block for the targets of a step."""
+        return new_block(self._targets_dtype)
+
+    def new_result(self) -> Block:
+        """Return a block for the result of a step."""
+        return new_block(self._result_dtype)
+
+    def desired_joints(self, desired: DesiredMotion) -> JointRows:
+        """Return desired positions, rates and accelerations of the joints, each (n,) or None for those of the grasp at rest.
+
+        Args:
+            desired: desired motion.
+        """
+        return (desired.q, desired.v, desired.a) if isinstance(desired, GraspMotion) else self._posture
+
+    def read_result(self, block: Block, flags: int) -> StepResult:
+        """Return the result in a block.
+
+        Args:
+            block: the result, as the C code wrote it.
+            flags: that the C code returned.
+        """
         return StepResult(
             tau=block["tau"],
             saturated=bool(flags & native.SATURATED),

@@ -55,19 +55,26 @@ class GraspControl:
     released: ObjectControlLaw | None = None
 
     @classmethod
-    def start(cls, grasp: Grasp, settings: ControlSettings, memory: ControlMemory | None = None) -> GraspControl:
+    def start(
+        cls,
+        grasp: Grasp,
+        settings: ControlSettings,
+        memory: ControlMemory | None = None,
+        law_type: type[ObjectControlLaw] = ObjectControlLaw,
+    ) -> GraspControl:
         """Return the control of a grasp before its first step.
 
         Args:
             grasp: hand, object and contacts.
             settings: settings of the controller.
             memory: memory of an earlier step to continue from; None for a new start.
+            law_type: type of its control laws, also after changes of contacts.
         """
-        law = ObjectControlLaw(grasp, settings)
+        law = law_type(grasp, settings)
         if memory is None:
             return cls(law, law.initial_memory())
         rest = GraspState(grasp.q, np.zeros(grasp.hand.n), BodyMotion(grasp.p_HO, grasp.R_HO))
-        return cls(law, memory, _prepare_released(grasp, memory, rest, settings))
+        return cls(law, memory, _prepare_released(law, grasp, memory, rest))
 
     @property
     def grasp(self) -> Grasp:
@@ -103,11 +110,10 @@ class GraspControl:
             UnknownName: as in `check`.
         """
         grasp, memory = begin_change(self.grasp, self.memory, state, change)
-        settings = self.law.settings
         joined = None
         if grasp is not self.grasp:
-            joined = _practised(ObjectControlLaw(grasp, settings), memory, state)
-        return PreparedChange(change, joined, _prepare_released(grasp, memory, state, settings))
+            joined = _practised(_law_like(self.law, grasp), memory, state)
+        return PreparedChange(change, joined, _prepare_released(self.law, grasp, memory, state))
 
     def begin(self, prepared: PreparedChange, state: GraspState) -> GraspControl:
         """Return the control at the begin of a change.
@@ -156,7 +162,7 @@ class GraspControl:
         if ramp is None or not ramp.is_released:
             return self
         grasp, memory = finish_release(self.grasp, self._memory_with_margin(), state)
-        law = ObjectControlLaw(grasp, self.law.settings) if self.released is None else self.released.with_grasp(grasp)
+        law = _law_like(self.law, grasp) if self.released is None else self.released.with_grasp(grasp)
         return GraspControl(law, memory)
 
     def _memory_with_margin(self) -> ControlMemory:
@@ -170,15 +176,18 @@ class GraspControl:
 _make_control = unchecked_constructor(GraspControl)  # faster than dataclasses.replace
 
 
-def _prepare_released(
-    grasp: Grasp, memory: ControlMemory, state: GraspState, settings: ControlSettings
-) -> ObjectControlLaw | None:
+def _law_like(law: ObjectControlLaw, grasp: Grasp) -> ObjectControlLaw:
+    """Return a law of the same type and settings for another grasp."""
+    return type(law)(grasp, law.settings)
+
+
+def _prepare_released(law: ObjectControlLaw, grasp: Grasp, memory: ControlMemory, state: GraspState) -> ObjectControlLaw | None:
     """Return the law without the contacts that let go, after a first step; None if none lets go."""
     ramp: ForceRamp | None = memory.ramp
     if ramp is None or not ramp.releasing.any():
         return None
     rest, memory = finish_release(grasp, memory, state)
-    return _practised(ObjectControlLaw(rest, settings), memory, state)
+    return _practised(_law_like(law, rest), memory, state)
 
 
 def _practised(law: ObjectControlLaw, memory: ControlMemory, state: GraspState) -> ObjectControlLaw:

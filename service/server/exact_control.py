@@ -7,6 +7,7 @@ from concurrent.futures import Executor
 from functools import partial
 
 from graspforce.control import Command, ContactConditions, ControlMemory, GraspState
+from graspforce.control.compiled_control_law import CompiledControlLaw
 from graspforce.control.grasp_control import GraspControl
 from graspforce.core.compiled import native
 from graspforce.core.errors import InvalidInput
@@ -27,7 +28,7 @@ class ExactControl:
     """
 
     def __init__(self, setup: StreamSetup, changes: Executor | None = None) -> None:
-        self._control = GraspControl.start(setup.grasp, setup.settings, setup.memory)
+        self._control = GraspControl.start(setup.grasp, setup.settings, setup.memory, CompiledControlLaw)
         self._hand = setup.grasp.hand
         self._has_drive = not self._hand.drives.is_ideal
         self._has_heat = self._hand.drives.has_thermal_data

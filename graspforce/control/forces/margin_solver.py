@@ -174,6 +174,26 @@ class MarginSolver:
         """Limits of the contacts with the friction reserve and all errors of the settings, and without them."""
         return self._nominal.limits, self._bare.limits
 
+    @property
+    def has_plain_problem(self) -> bool:
+        """Whether the structure of the hand carries no forces, and the margin of the settings leaves room for forces."""
+        return self._structure.shape[1] == 0 and self._nominal.is_feasible
+
+    @property
+    def full_force_offset(self) -> Array:
+        """(k,) shift of the normal forces for the margin of the settings, in the rows of f, N."""
+        return self._nominal.force_offset
+
+    def full_problem(self, targets: StepTargets, tau_u: Array) -> ForceProblem:
+        """Return the problem whose cones keep the margin of the settings.
+
+        Args:
+            targets: targets of the step.
+            tau_u: (n,) torques without contact forces, N·m.
+        """
+        w, shifted = targets.apply_slip_margin(tau_u, self._nominal.shift)
+        return self._problem(self._nominal, targets, w, shifted).replace(p=targets.p_OC, R=targets.R_OC)
+
     def solve(
         self,
         targets: StepTargets,

@@ -225,13 +225,19 @@ static int gf_step_to_targets(gf_controller *c, const gf_control_inputs *in, con
     return gf_compute_targets(&setup->grasp, &inputs, c->targets_work, &c->targets);
 }
 
-/* Compute tau_u within its limits. */
-static void gf_free_torques(gf_controller *c)
+/* Compute tau_u without its limits. */
+static void gf_own_torques(gf_controller *c)
+{
+    const gf_controller_setup *setup = c->setup;
+    gf_hand_inverse_dynamics(setup->hand, &c->motion, c->targets.joint_acceleration, setup->grasp.gravity_H, c->dynamics_work,
+                             c->tau_u);
+}
+
+/* Put tau_u within its limits. */
+static void gf_limit_free_torques(gf_controller *c)
 {
     const gf_controller_setup *setup = c->setup;
     const int n = setup->grasp.motor_count;
-    gf_hand_inverse_dynamics(setup->hand, &c->motion, c->targets.joint_acceleration, setup->grasp.gravity_H, c->dynamics_work,
-                             c->tau_u);
     for (int j = 0; j < n; j++) {
         if (c->tau_u[j] < setup->tau_u_limits[j]) c->tau_u[j] = setup->tau_u_limits[j];
         if (c->tau_u[j] > setup->tau_u_limits[n + j]) c->tau_u[j] = setup->tau_u_limits[n + j];
@@ -333,7 +339,8 @@ gf_control_status gf_controller_step(gf_controller *c, const gf_control_inputs *
     if (!gf_all_finite(c->targets.contacts.R_OC, 9 * g->contact_count) || !gf_all_finite(c->targets.acceleration_H, 6))
         return gf_hold(c, out, GF_CONTROL_INVALID);
     if (!is_complete) return gf_hold(c, out, GF_CONTROL_SINGULAR);
-    gf_free_torques(c);
+    gf_own_torques(c);
+    gf_limit_free_torques(c);
     if (!gf_all_finite(c->tau_u, n) || !gf_all_finite(c->targets.w, 6)) return gf_hold(c, out, GF_CONTROL_INVALID);
     const gf_control_status status = gf_find_forces(c, &out->margin, &out->iterations);
     gf_integral_rule rule = GF_INTEGRAL_NEVER;
