@@ -1,4 +1,4 @@
-"""Make an editable installation that type checkers can follow.
+"""Build the modules in C at the same time, and make an editable installation that type checkers can follow.
 
 service/ and problems/ stand beside graspforce/ in a checkout and are installed inside it. Setuptools maps them by an import
 hook, which mypy and pyright cannot read. This adds a folder of links laid out as the installed package, and a .pth to it.
@@ -6,11 +6,13 @@ hook, which mypy and pyright cannot read. This adds a folder of links laid out a
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 from typing import Any
 
 from setuptools import setup
+from setuptools.command.build_ext import build_ext
 from setuptools.command.editable_wheel import editable_wheel
 
 ROOT = Path(__file__).parent.resolve()
@@ -27,6 +29,15 @@ def link_tree() -> Path:
         if entry.name != "__pycache__":
             (package / entry.name).symlink_to(entry, target_is_directory=entry.is_dir())
     return tree
+
+
+class BuildModules(build_ext):
+    """Setuptools' build of extension modules, with a compiler for each processor."""
+
+    def finalize_options(self) -> None:
+        """Set the options that are not given."""
+        super().finalize_options()
+        self.parallel = self.parallel or os.cpu_count()
 
 
 class EditableWheel(editable_wheel):
@@ -47,4 +58,4 @@ class EditableWheel(editable_wheel):
         return strategy
 
 
-setup(cmdclass={"editable_wheel": EditableWheel})
+setup(cmdclass={"build_ext": BuildModules, "editable_wheel": EditableWheel})

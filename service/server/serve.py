@@ -35,6 +35,7 @@ _GRACE = 1.2  # s, to answer the waiting requests at the end; the process ends w
 _END_DELAY = 0.6  # s after the grace, until a process that should end is ended
 _SIGNAL_CHECK_PERIOD = 0.02  # s
 _WATCH_PERIOD = 0.5  # s, between checks of the hands' files
+_COLLECT_PERIOD = 60.0  # s, between two full collections of unused objects
 _SWITCH_INTERVAL = 1e-4  # s; with Python's default of 5 ms, a reply could wait so long for another thread
 _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
@@ -135,12 +136,15 @@ def run_server(server: Server, options: ServeOptions) -> None:
         if options.on_ready is not None:
             options.on_ready(server)
         manager.ready("serving")
-        files, checked = HandFiles(options.watch, server.reload_hand), time.monotonic()
+        files, checked, collected = HandFiles(options.watch, server.reload_hand), time.monotonic(), time.monotonic()
         while not received:
             time.sleep(_SIGNAL_CHECK_PERIOD)  # a wait without end could miss a signal that arrives just before it
             if time.monotonic() - checked > _WATCH_PERIOD:
                 files.check()
                 checked = time.monotonic()
+            if time.monotonic() - collected > _COLLECT_PERIOD:
+                gc.collect()  # fast, because most objects are frozen; it also frees the unused tuples that Python keeps
+                collected = time.monotonic()
             if manager.is_alive_due() and (problem := server.load().problem) is None:
                 manager.alive()
             elif manager.is_alive_due():
