@@ -85,6 +85,15 @@ def exposed_endpoints(config: zenoh.Config) -> tuple[str, ...]:
     return tuple(endpoint for endpoint in endpoints if not _is_protected(endpoint))
 
 
+def unsecured_listeners(config: zenoh.Config) -> tuple[str, ...]:
+    """Return the endpoints without TLS at which a server listens, also those of its own machine.
+
+    Args:
+        config: the configuration of a server.
+    """
+    return tuple(each for each in _endpoints(config, "listen") if each.partition("/")[0] not in _SECURE_LINKS)
+
+
 def _endpoints(config: zenoh.Config, kind: str) -> list[str]:
     """Return the endpoints of a configuration to listen at, or to connect to, for all modes of a session."""
     listed = json.loads(config.get_json(f"{kind}/endpoints"))

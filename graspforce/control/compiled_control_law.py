@@ -37,6 +37,7 @@ from graspforce.hand.hand import Hand
 
 _BACKEND = "structured"  # solver of the C code
 _PAUSE = 10  # steps of the reference after one that was not usual, because such steps follow each other
+_NO_TIPS = (None, None, None)  # before the first step
 _SOLUTION_FIELDS = ("backend", "iterations", "seconds", "data")
 
 
@@ -76,9 +77,9 @@ class CompiledControlLaw(ObjectControlLaw):
         """Compute the command for the next period, and the memory for the next step, as `ObjectControlLaw.step`."""
         self._pause = max(self._pause - 1, 0)
         if self._whole_step is not None and conditions is None and self._pause == 0 and _is_usual(memory):
-            stepped = self._take_whole_step(memory, state, desired, external)
-            if stepped is not None:
-                return stepped
+            found = self._take_whole_step(memory, state, desired, external)
+            if found is not None:
+                return found
             self._pause = _PAUSE
         return super().step(memory, state, desired, external, conditions)
 
@@ -87,7 +88,7 @@ class CompiledControlLaw(ObjectControlLaw):
     ) -> tuple[Command, ControlMemory] | None:
         """Return command and memory of a step in C; None if it finds no certified forces with the full margin."""
         compiled, tips, measured, body = self._compiled, memory.tip_contacts, state.object, object_motion(desired)
-        if compiled is None or tips is None:
+        if compiled is None:
             return None
         check_joint_count(self.grasp.hand, state.q, desired)
         if external is not None:
@@ -97,7 +98,8 @@ class CompiledControlLaw(ObjectControlLaw):
         made = self._whole_step.step(
             *(state.q, state.v, measured.p_HO, measured.R_HO, measured.twist),
             *(body.p_HO, body.R_HO, body.twist, body.acceleration),
-            *(memory.integral, memory.R_OC, memory.creep, tips.p_OF, tips.R_OF, tips.p_OC),
+            *(memory.integral, memory.R_OC, memory.creep),
+            *(_NO_TIPS if tips is None else (tips.p_OF, tips.R_OF, tips.p_OC)),
             *(*compiled.desired_joints(desired), external),
             *blocks,
         )
@@ -157,10 +159,8 @@ class StepForces:
 
 
 def _is_usual(memory: ControlMemory) -> bool:
-    """Return whether a step after this memory may be usual: no first step, and neither reflex, stop nor change of contacts."""
-    return memory.tip_contacts is not None and all(
-        part is None for part in (memory.reflex, memory.ramp, memory.margin, memory.stop)
-    )
+    """Return whether a step after this memory may be usual: there is neither reflex, nor stop, nor change of contacts."""
+    return memory.reflex is None and memory.ramp is None and memory.margin is None and memory.stop is None
 
 
 def _make_whole_step(law: CompiledControlLaw) -> Any:

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 
 import zenoh
 from zenoh.handlers import RingChannel
 
 from graspforce.core import arrays
-from graspforce.core.errors import RequestRefused
+from graspforce.core.errors import RequestRefused, ServiceError
 from graspforce.core.json_text import JsonRecord
 from graspforce.planning import ProgressCallback
 from graspforce.service.client.replies import read_replies, report_progress
 from graspforce.service.client.server_presence import ServerPresence
 from graspforce.service.wire import protocol
 from graspforce.service.wire.protocol import Envelope
-from graspforce.service.zenoh_session import MAX_MESSAGE_BYTES
+from graspforce.service.zenoh_session import MAX_MESSAGE_BYTES, describe_zenoh_error
 
 _REOPEN_TIMEOUT = 0.5  # s, of an attempt to open a stream again: the lease of a replica
 _PLAN_TRANSFER_TIME = 5.0  # s beyond the budget for the answer, which has some hundred kilobytes
@@ -55,6 +55,8 @@ class Requests:
             timeout: time to wait for the answer, s; None for the default.
         """
         timeout = self._timeout if timeout is None else arrays.check_number(timeout, "timeout", above=0.0)
+        if budget is not None:
+            arrays.check_number(budget, "budget", above=0.0)
         sequence = next(self._sequence)
 
         def send(remaining: float) -> Iterable[zenoh.Reply]:
@@ -121,19 +123,38 @@ class Requests:
     def _send_query(
         self, key: str, payload: bytes, timeout: float, target: zenoh.QueryTarget = zenoh.QueryTarget.BEST_MATCHING
     ) -> zenoh.Handler[zenoh.Reply]:
-        """Send a query and return the channel of its replies."""
+        """Send a query and return the channel of its replies.
+
+        Raises:
+            RequestRefused: the payload is too large.
+            ServiceError: the client is closed, or the key is not allowed.
+        """
         if len(payload) > MAX_MESSAGE_BYTES:  # the server's Zenoh would drop it without a reply
             message = f"the payload has {len(payload)} bytes: at most {MAX_MESSAGE_BYTES} are allowed"
             raise RequestRefused("too_large", message)
-        return self._session.get(
-            f"{protocol.PREFIX}/{key}",
-            payload=payload,
-            encoding=self._codec,
-            attachment=str(self._session.zid()).encode(),  # the server schedules requests by session
-            timeout=timeout,
-            target=target,
-            consolidation=zenoh.ConsolidationMode.NONE,  # deliver the first answer without waiting for further servers
-        )
+        try:
+            return self._session.get(
+                f"{protocol.PREFIX}/{key}",
+                payload=payload,
+                encoding=self._codec,
+                attachment=str(self._session.zid()).encode(),  # the server schedules requests by session
+                timeout=timeout,
+                target=target,
+                consolidation=zenoh.ConsolidationMode.NONE,  # deliver the first answer without waiting for further servers
+            )
+        except zenoh.ZError as error:
+            raise ServiceError(f"cannot ask for {key}: {describe_zenoh_error(error)}") from None
+
+    def _from_servers(self, replies: Iterable[zenoh.Reply]) -> Iterator[zenoh.Reply]:
+        """Yield the replies of servers. Without a router these are connected directly; replies of other sessions are dropped.
+
+        Behind a router any session may answer; only TLS prevents it.
+        """
+        info = self._session.info
+        for reply in replies:
+            replier = reply.replier_id  # None for errors of Zenoh itself
+            if replier is None or info.routers_zid() or replier.zid in info.peers_zid():
+                yield reply
 
     def _first_answer(
         self, key: str, send: Callable[[float], Iterable[zenoh.Reply]], sequence: int, timeout: float
@@ -149,9 +170,9 @@ class Requests:
         """
         deadline = time.monotonic() + timeout
         self._presence.note_request()
-        answer = read_replies(send(timeout), sequence, timeout)
+        answer = read_replies(self._from_servers(send(timeout)), sequence, timeout)
         if not isinstance(answer, dict) and self._presence.wait_for_replica(deadline):
-            answer = read_replies(send(deadline - time.monotonic()), sequence, timeout) or answer
+            answer = read_replies(self._from_servers(send(deadline - time.monotonic())), sequence, timeout) or answer
         if not isinstance(answer, dict):
             raise answer or self._presence.explain_missing_answer(key)
         self._presence.note_answer()

@@ -33,9 +33,14 @@ class ServerPresence:
 
         Raises:
             ServiceTimeout: the list did not arrive in time.
+            ServiceError: the client is closed.
         """
         found: list[str] = []
-        for reply in self._session.liveliness().get(f"{_ALIVE_KEY}/*", timeout=self._timeout):
+        try:
+            replies = self._session.liveliness().get(f"{_ALIVE_KEY}/*", timeout=self._timeout)
+        except zenoh.ZError:
+            raise ServiceError("the client is closed") from None
+        for reply in replies:
             if reply.ok is None:
                 raise ServiceTimeout(
                     f"{describe_addresses(self._addresses)} did not list the servers within {self._timeout:g} s"
@@ -74,9 +79,11 @@ class ServerPresence:
             return RequestRefused("forbidden", message)
         if self._was_reached:
             self._was_reached = False
-            return ServerLost(
-                f"the server at {describe_addresses(self._addresses)} ended or was disconnected before it answered"
-            )
+            where = describe_addresses(self._addresses)
+            hint = ""
+            if any(address.startswith(("tls/", "quic/")) for address in self._addresses):
+                hint = "; a server that does not know the certificate permits nothing: restart it after `graspforce secure add`"
+            return ServerLost(f"the server at {where} ended or was disconnected before it answered{hint}")
         return NoServer(f"no server is alive at {describe_addresses(self._addresses)}")
 
 

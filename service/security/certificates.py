@@ -75,6 +75,15 @@ def hosts_of(directory: Path, name: str) -> tuple[str, ...]:
     return tuple(str(each.value) for each in found)
 
 
+def is_rotating(directory: Path) -> bool:
+    """Return whether ``ca.pem`` has the certificates of two authorities.
+
+    Args:
+        directory: directory of the certificate authority.
+    """
+    return len(x509.load_pem_x509_certificates((directory / f"{AUTHORITY}.pem").read_bytes())) > 1
+
+
 def begin_rotation(directory: Path) -> None:
     """Make a new authority beside the present one: ``ca.pem`` has both certificates, and ``ca.key`` the new key.
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,7 @@ DEFAULT_HOSTS = ("localhost", "127.0.0.1")
 _MAX_SESSIONS = 64  # connections of clients
 _SIZE_LIMITS = {"look": 64 * 2**10, "states": 66 * 2**10, "plans": 128 * 2**10}  # bytes of messages, with their attachment
 _ROLES_FILE = "roles.json"
+_CLIENT_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")  # fit for certificates, file names and keys
 _ALL = f"{protocol.NAMESPACE}/**"
 _MONITOR_KEYS = [f"{protocol.PREFIX}/{key}" for key in ("status", "hands/*", "hands/*/forward", "schema/**", "setups/**")]
 _CONTROLLER_KEYS = [f"{protocol.PREFIX}/{key}" for key in ("*", "hands/**", "schema/**", "setups/**")]
@@ -44,19 +46,19 @@ def init_directory(path: str | os.PathLike[str], hosts: Sequence[str] = ()) -> P
     """Make a certificate authority, and certificates of the server, a controller and a monitor.
 
     Args:
-        path: a new or empty directory.
+        path: a new directory, or one without keys, certificates and roles.
         hosts: names and addresses by which clients reach the server, beside localhost.
 
     Raises:
-        InvalidInput: the directory has a certificate authority already.
+        InvalidInput: the directory has files of an earlier call, even if the authority's key is elsewhere.
         OSError: a file cannot be written.
     """
-    from graspforce.service.security.certificates import AUTHORITY, issue_certificate, make_authority
+    from graspforce.service.security.certificates import issue_certificate, make_authority
 
     directory = Path(path)
     directory.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if (directory / f"{AUTHORITY}.key").exists():
-        raise InvalidInput("directory", str(directory), "a directory without a certificate authority")
+    if any(each.suffix in (".key", ".pem") or each.name == _ROLES_FILE for each in directory.iterdir()):
+        raise InvalidInput("directory", str(directory), "a directory without keys, certificates and roles")
     make_authority(directory)
     issue_certificate(directory, SERVER, (*DEFAULT_HOSTS, *hosts))
     for role in ROLES:
@@ -90,12 +92,17 @@ def begin_rotation(path: str | os.PathLike[str]) -> None:
         path: directory of the certificate authority.
 
     Raises:
-        InvalidInput: the directory has no certificate authority.
+        InvalidInput: the directory has no certificate authority, or a rotation that is not finished.
         OSError: a file cannot be written.
     """
     from graspforce.service.security import certificates
 
-    certificates.begin_rotation(_check_authority(path))
+    directory = _check_authority(path)
+    if certificates.is_rotating(directory):
+        raise InvalidInput(
+            "directory", str(directory), "one whose last rotation is finished: `graspforce secure rotate --finish`"
+        )
+    certificates.begin_rotation(directory)
 
 
 def finish_rotation(path: str | os.PathLike[str]) -> None:
@@ -118,32 +125,44 @@ def finish_rotation(path: str | os.PathLike[str]) -> None:
     certificates.end_rotation(directory)
 
 
-def add_client(path: str | os.PathLike[str], name: str, role: str) -> None:
+def add_client(path: str | os.PathLike[str], name: str, role: str | None = None) -> str:
     """Issue a certificate for a client. An existing one of this name is replaced: this is how certificates are renewed.
 
     Args:
         path: directory of the certificate authority.
-        name: name of the client, the common name of its certificate.
-        role: "controller" or "monitor".
+        name: name of the client, the common name of its certificate: letters, digits, and . _ - after the first character.
+        role: "controller" or "monitor". Default: the present role of the client; "monitor" for a new one.
+
+    Returns:
+        The role.
 
     Raises:
-        InvalidInput: the name or the role is not allowed, or the directory has no certificate authority.
+        InvalidInput: the name or the role is not allowed, the directory has no certificate authority, or the file of roles is
+            missing or invalid.
         OSError: a file cannot be written.
     """
     from graspforce.service.security.certificates import AUTHORITY, issue_certificate
 
     name = protocol.check_id(name, "name")
-    fields.check_choice(role, "role", ROLES)
-    if name in (SERVER, AUTHORITY) or name.startswith("."):
+    if not _CLIENT_NAME.fullmatch(name):
+        raise InvalidInput("name", name, "letters, digits, and . _ - after the first character")
+    if name in (SERVER, AUTHORITY):
         raise InvalidInput("name", name, f"another name than {SERVER} and {AUTHORITY}")
+    if role is not None:
+        fields.check_choice(role, "role", ROLES)
     directory = _check_authority(path)
+    own = {f"{each}.pem" for each in (SERVER, AUTHORITY)}
+    has_clients = any(each.name not in own for each in directory.glob("*.pem"))
+    roles = _read_roles(directory) if has_clients or (directory / _ROLES_FILE).exists() else {}
+    role = role or roles.get(name, MONITOR)
     issue_certificate(directory, name)
-    roles = {**_read_roles(directory), name: role} if (directory / _ROLES_FILE).exists() else {name: role}
+    roles[name] = role
     write_text(directory / _ROLES_FILE, json.dumps(roles, indent=2) + "\n")
     server = {"mode": "peer", "listen/endpoints": ["tls/0.0.0.0:7450"], **server_settings(directory)}
     _write_configuration(directory / f"{SERVER}.json5", server)
     client = {"mode": "client", "connect/endpoints": ["tls/localhost:7450"], **client_settings(directory, name)}
     _write_configuration(directory / f"{name}.json5", client)
+    return role
 
 
 def server_settings(path: str | os.PathLike[str]) -> dict[str, object]:
@@ -174,9 +193,11 @@ def client_settings(path: str | os.PathLike[str], name: str) -> dict[str, object
         name: name of the client.
 
     Raises:
-        InvalidInput: a file is missing.
+        InvalidInput: a file is missing, or the name is none of a client.
     """
     directory = Path(path)
+    if not _CLIENT_NAME.fullmatch(name):
+        raise InvalidInput("name", name, "the name of a client: letters, digits, and . _ - after the first character")
     files = _certificate_files(directory, name)
     return _tls_settings({"connect_certificate": files[0], "connect_private_key": files[1]}, directory)
 

@@ -11,7 +11,13 @@ import zenoh
 from graspforce.core import arrays
 from graspforce.core.errors import InvalidInput
 from graspforce.service.security.directory import server_settings
-from graspforce.service.zenoh_session import DEFAULT_ADDRESS, build_configuration, connect_endpoints, exposed_endpoints
+from graspforce.service.zenoh_session import (
+    DEFAULT_ADDRESS,
+    build_configuration,
+    connect_endpoints,
+    exposed_endpoints,
+    unsecured_listeners,
+)
 
 log = logging.getLogger("graspforce.service")
 
@@ -59,16 +65,21 @@ def server_configuration(
     return build_configuration(config, _DEFAULTS, overrides)
 
 
-def check_endpoints(config: zenoh.Config, insecure: bool) -> None:
+def check_endpoints(config: zenoh.Config, insecure: bool, secure: bool = False) -> None:
     """Refuse endpoints and routers beyond this machine without TLS, or warn of them.
 
     Args:
         config: the configuration of a server.
         insecure: whether such endpoints are allowed.
+        secure: whether the server has certificates; then it may listen only with TLS.
 
     Raises:
         InvalidInput: there is one, and it is not allowed.
     """
+    unsecured = unsecured_listeners(config) if secure else ()
+    if unsecured and not insecure:
+        allowed = "an endpoint with TLS (tls/…), which --secure needs, or allowed with --insecure (insecure=True)"
+        raise InvalidInput("listen", unsecured[0], allowed)
     exposed = exposed_endpoints(config)
     if exposed and not insecure:
         allowed = "an endpoint of this machine (tcp/127.0.0.1:…), one with TLS (tls/…)"

@@ -149,7 +149,7 @@ class Server:
         self._sessions = ClientSessions()
         self._listen = listen
         self._config, self._routers = server_configuration(config, listen, secure, connect, lease), tuple(connect)
-        check_endpoints(self._config, insecure)
+        check_endpoints(self._config, insecure, secure is not None)
         self._queue_options = QueueOptions(solver_threads, large_threads, capacity, self._limits.queue_bytes)
         self._worker_processes = worker_processes
         self._workers: dict[CostClass, RequestWorkers] = {}

@@ -254,11 +254,13 @@ def check_id(value: object, field: str = "id") -> str:
         field: its path for error messages.
 
     Raises:
-        InvalidInput: not 1 to 64 characters, or a reserved or control character.
+        InvalidInput: not 1 to 64 characters, a reserved or control character, or @ at the begin.
     """
     id = fields.check_text(value, field)
-    if not 0 < len(id) <= _MAX_ID_CHARACTERS or any(c in id for c in _FORBIDDEN_IN_KEYS) or has_controls(id):
-        raise InvalidInput(field, id, f"1 to {_MAX_ID_CHARACTERS} characters, without / * $ ? # and control characters")
+    is_verbatim = id.startswith("@")  # access rules and subscriptions with wildcards do not match such keys
+    if not 0 < len(id) <= _MAX_ID_CHARACTERS or any(c in id for c in _FORBIDDEN_IN_KEYS) or has_controls(id) or is_verbatim:
+        allowed = f"1 to {_MAX_ID_CHARACTERS} characters, without / * $ ? # and control characters, and no @ at the begin"
+        raise InvalidInput(field, id, allowed)
     return id
 
 

@@ -41,13 +41,15 @@ def init(
 def add(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="Directory of `graspforce secure init`.")],
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the client.")],
-    role: Annotated[str, typer.Option(metavar="ROLE", help="controller or monitor.")] = "monitor",
+    role: Annotated[
+        str | None, typer.Option(metavar="ROLE", help="controller or monitor (default: the present role, or monitor).")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Issue or renew the certificate of a client. Restart the server, so that it learns a new name."""
     from graspforce.service.security.directory import add_client
 
-    add_client(directory, name, role)
+    role = add_client(directory, name, role)
     if as_json:
         print(json.dumps({"name": name, "role": role, "files": [str(directory / f"{name}{end}") for end in (".pem", ".key")]}))
         return

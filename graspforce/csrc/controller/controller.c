@@ -262,7 +262,7 @@ static gf_control_status gf_find_forces(gf_controller *c, double *margin, int *i
 }
 
 /* Compute the sliding of the first step, for which there are no earlier tips, from the measured velocities, m. */
-static void gf_first_creep(gf_controller *c, const gf_control_inputs *in)
+static void gf_first_creep(const gf_controller *c, const gf_control_inputs *in, const gf_step_result *result)
 {
     const gf_controlled_grasp *g = &c->setup->grasp;
     const gf_contacts *contacts = &c->targets.contacts;
@@ -275,9 +275,9 @@ static void gf_first_creep(gf_controller *c, const gf_control_inputs *in)
         for (int t = 0; t < 2; t++) {
             double slip = contacts->velocity[3 * i + t];
             for (int k = 0; k < 6; k++) slip -= contacts->B[6 * (3 * i + t) + k] * twist_O[k];
-            c->result.creep[2 * i + t] = g->period * slip;
+            result->creep[2 * i + t] = g->period * slip;
         }
-        c->result.creep_distance[i] = hypot(c->result.creep[2 * i], c->result.creep[2 * i + 1]);
+        result->creep_distance[i] = hypot(result->creep[2 * i], result->creep[2 * i + 1]);
     }
 }
 
@@ -358,7 +358,7 @@ gf_control_status gf_controller_step(gf_controller *c, const gf_control_inputs *
                                      .integral_rule = rule};
     out->flags = gf_compute_result(g, &c->targets, &inputs, &c->result);
     if (!gf_all_finite(c->result.tau, n) || !gf_all_finite(c->result.integral, 6)) return gf_hold(c, out, GF_CONTROL_INVALID);
-    if (is_first) gf_first_creep(c, in);
+    if (is_first) gf_first_creep(c, in, &c->result);
     if (status != GF_CONTROL_REUSED) memcpy(c->f, c->problem.f, (size_t)k * sizeof(double));
     memcpy(c->tau, c->result.tau, (size_t)n * sizeof(double));
     gf_keep_memory(c, before, after);
