@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 from collections.abc import Sequence
@@ -30,6 +31,24 @@ _DEFAULTS: dict[str, object] = {
     # µs until a command is dropped if its client does not read. The next command is newer.
     "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
 }
+# No other session gets queries of clients: it could answer them, and learn the ids of sessions and the proofs of ownership.
+_GUARD: dict[str, object] = {
+    "access_control": {
+        "enabled": True,
+        "default_permission": "allow",
+        "rules": [
+            {
+                "id": "queryables of others",
+                "permission": "deny",
+                "flows": ["ingress"],
+                "messages": ["declare_queryable"],
+                "key_exprs": ["**"],
+            },
+        ],
+        "subjects": [{"id": "others"}],
+        "policies": [{"rules": ["queryables of others"], "subjects": ["others"]}],
+    }
+}
 
 
 def server_configuration(
@@ -40,6 +59,9 @@ def server_configuration(
     lease: float | None = None,
 ) -> zenoh.Config:
     """Return the Zenoh configuration of a server.
+
+    A server that clients connect to directly lets no other session answer their queries. A router has to allow it, and so has a
+    server that joins a router.
 
     Args:
         config: as in `Server`.
@@ -62,6 +84,9 @@ def server_configuration(
         overrides["connect/endpoints"] = list(connect)
     if lease is not None:
         overrides["transport/link/tx/lease"] = max(round(1e3 * arrays.check_number(lease, "lease", above=0.0)), 1)  # ms
+    guarded = build_configuration(config, {**_DEFAULTS, **_GUARD}, overrides)
+    if json.loads(guarded.get_json("mode")) == "peer" and not connect_endpoints(guarded):
+        return guarded
     return build_configuration(config, _DEFAULTS, overrides)
 
 

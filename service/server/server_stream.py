@@ -125,15 +125,16 @@ class ServerStream:
         """
         return self.epoch if self._signer is None else self._signer.sign(payload)
 
-    def is_owned(self, proof: object) -> bool:
+    def is_owned(self, client: bytes, proof: object) -> bool:
         """Return whether a client may open this stream again, or close it.
 
-        A stream with authentication is owned by the client that has its key. Sessions prove nothing: their ids are no secrets.
+        A stream with authentication is owned by the session that opened it, and by a client with its key.
 
         Args:
+            client: session of the client; empty for one that is not connected directly.
             proof: `ownership_proof` as the client sent it, or several, of all openings of its stream, the newest first.
         """
-        return self.key is None or self._find_proof(proof) is not None
+        return self.key is None or bool(client and client == self.owner) or self._find_proof(proof) is not None
 
     def is_replaced(self, proof: object) -> bool:
         """Return whether its client has opened the stream at another server since then.

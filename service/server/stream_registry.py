@@ -95,10 +95,10 @@ class StreamRegistry:
             if "close" in record:
                 if fields.check_record(record, "", required=["close"])["close"] is not True:
                     raise InvalidInput("close", record["close"], "true")
-                return self._close(id, proof)
+                return self._close(id, client, proof)
         setup = read_setup(self._hands, record)
         replaced = self._open.get(id)
-        if replaced is not None and replaced.is_owned(proof) and replaced.is_replaced(proof):
+        if replaced is not None and replaced.is_owned(client, proof) and replaced.is_replaced(proof):
             self._end([replaced])
         with self._lock:
             existing = self._open.get(id)
@@ -107,7 +107,7 @@ class StreamRegistry:
                 stream = ServerStream(id, setup, client, proof)
                 self._on_open(stream)
                 self._open[id] = stream
-            elif not existing.is_owned(proof):
+            elif not existing.is_owned(client, proof):
                 raise RequestRefused("forbidden", f"stream {id} belongs to another client")
             elif type(existing.setup) is not type(setup) or not existing.setup.opens(setup):  # type: ignore[arg-type]
                 raise InvalidInput("stream", id, "a new id: the open stream with this id has other parameters")
@@ -161,12 +161,12 @@ class StreamRegistry:
         """Close all streams."""
         self._end(list(self._open.values()))
 
-    def _close(self, id: str, proof: object) -> JsonRecord:
+    def _close(self, id: str, client: bytes, proof: object) -> JsonRecord:
         """Close a stream and return its counts."""
         stream = self._open.get(id)
         if stream is None:
             raise UnknownName("stream", id, (), "the id of an open stream")
-        if not stream.is_owned(proof):
+        if not stream.is_owned(client, proof):
             raise RequestRefused("forbidden", f"stream {id} belongs to another client")
         self._end([stream])
         return {"stream": id, "outcomes": dict(stream.outcomes), "skipped": stream.skipped}
