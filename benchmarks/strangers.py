@@ -8,14 +8,13 @@ An *effect* is a try that changes what the server or the victim does; the last c
 are the tries that the server or the victim refused and counted, or answered with `forbidden`. With TLS, Zenoh's access control
 drops the tries.
 
-A rogue queryable gets no queries of clients that are connected to a server, because Zenoh asks the nearest one. Behind a router
-without TLS it may be the nearest: there, only TLS proves to a client which server answers.
+A server that clients connect to directly refuses queryables of other sessions and tokens of servers. Behind a router without
+TLS any session may declare them: there, only TLS proves to a client which server answers.
 """
 
 from __future__ import annotations
 
 import contextlib
-import itertools
 import os
 import tempfile
 import threading
@@ -243,18 +242,18 @@ def reopen(scene: Scene, tries: int) -> Row:
 
 
 def answer_queries(scene: Scene, tries: int) -> Row:
-    """Answer the victim's queries in place of the server."""
+    """Answer the victim's queries in place of the server. A query that the stranger gets is an effect, too."""
     fake = protocol.encode({"error": "internal", "message": FORGED_SERVER}, protocol.JSON)
-    asked = itertools.count()
+    asked: list[str] = []
 
     def reply(query: zenoh.Query) -> None:
-        next(asked)
+        asked.append(str(query.key_expr))
         with query:
             query.reply_err(fake, encoding=protocol.JSON)
 
     declared = [
         scene.stranger.declare_queryable(f"{protocol.PREFIX}/{key}", Callback(reply, indirect=False), complete=True)
-        for key in ("status", "solve", "streams/*", f"hands/{HAND}")
+        for key in ("status", "solve", "streams/*", f"hands/{HAND}", "**")
     ]
     time.sleep(_SETTLE)
     effects = 0
@@ -265,7 +264,7 @@ def answer_queries(scene: Scene, tries: int) -> Row:
             effects += 1
     for each in declared:
         each.undeclare()
-    return Row("rogue queryable", scene.mode, tries, effects, 0)
+    return Row("rogue queryable", scene.mode, tries, max(effects, len(asked)), 0)
 
 
 def forge_tokens(scene: Scene, tries: int) -> Row:

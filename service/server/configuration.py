@@ -12,6 +12,7 @@ import zenoh
 from graspforce.core import arrays
 from graspforce.core.errors import InvalidInput
 from graspforce.service.security.directory import server_settings
+from graspforce.service.wire import protocol
 from graspforce.service.zenoh_session import (
     DEFAULT_ADDRESS,
     build_configuration,
@@ -31,7 +32,8 @@ _DEFAULTS: dict[str, object] = {
     # µs until a command is dropped if its client does not read. The next command is newer.
     "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
 }
-# No other session gets queries of clients: it could answer them, and learn the ids of sessions and the proofs of ownership.
+# No other session gets queries of clients: it could answer them, and learn the ids of sessions and the proofs of ownership. Nor
+# does it count as a server.
 _GUARD: dict[str, object] = {
     "access_control": {
         "enabled": True,
@@ -44,9 +46,16 @@ _GUARD: dict[str, object] = {
                 "messages": ["declare_queryable"],
                 "key_exprs": ["**"],
             },
+            {
+                "id": "tokens of others",
+                "permission": "deny",
+                "flows": ["ingress"],
+                "messages": ["liveliness_token"],
+                "key_exprs": [f"{protocol.NAMESPACE}/*/alive/**"],
+            },
         ],
         "subjects": [{"id": "others"}],
-        "policies": [{"rules": ["queryables of others"], "subjects": ["others"]}],
+        "policies": [{"rules": ["queryables of others", "tokens of others"], "subjects": ["others"]}],
     }
 }
 

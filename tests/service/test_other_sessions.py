@@ -29,11 +29,13 @@ def test_a_session_gets_no_queries_of_other_clients(key):
     with Server([GRASP.hand], listen=ANY_LOCAL_PORT) as server, plain_session(server.addresses[0]) as other:
         seen: list[zenoh.Query] = []
         other.declare_queryable(key, seen.append, complete=True)
-        other.declare_queryable(f"{protocol.PREFIX}/alive/other", lambda query: None)
+        tokens = [other.liveliness().declare_token(f"{protocol.PREFIX}/{each}") for each in ("alive/other", "alive/*")]
         with Client(server.addresses[0], timeout=TIMEOUT) as client, client.open_stream(GRASP):
             for _ in range(20):
                 assert client.status().hands == (GRASP.hand.name,)
+                assert client.servers() == (server.id,)
         assert not seen
+        assert len(tokens) == 2
 
 
 def test_clients_take_no_answers_of_other_sessions_where_these_get_queries(tmp_path):
