@@ -52,7 +52,7 @@ class CompiledControlLaw(ObjectControlLaw):
     def __init__(self, grasp: Grasp, settings: ControlSettings) -> None:
         super().__init__(grasp, settings)
         self._whole_step: Any = None
-        self._pause = 0  # steps until the C code is tried again
+        self._pause, self._is_warm = 0, False  # steps until the C code is tried again; whether its solver has a start
         self._forces_dtype = np.dtype(np.void)
         if self._is_supported:
             self._whole_step = _make_whole_step(self)
@@ -78,9 +78,11 @@ class CompiledControlLaw(ObjectControlLaw):
         self._pause = max(self._pause - 1, 0)
         if self._whole_step is not None and conditions is None and self._pause == 0 and _is_usual(memory):
             found = self._take_whole_step(memory, state, desired, external)
-            if found is not None:
+            if found is None:
+                self._pause = _PAUSE
+            elif self._is_warm:
                 return found
-            self._pause = _PAUSE
+            self._is_warm = True  # the first step starts both solvers, and is that of the reference
         return super().step(memory, state, desired, external, conditions)
 
     def _take_whole_step(

@@ -38,7 +38,7 @@ _REACH_MARGIN = 0.05  # m
 _JUMP_POSTURE, _JUMP_POSITION, _JUMP_ROTATION = 0.05, 0.01, 0.1  # rad, m and –, without time between two states
 _JUMP_RATE_FACTOR, _JUMP_SPEED, _JUMP_RATE = 1.5, 2.0, 20.0  # –, m/s, rad/s: of a motion between two states
 _LONGEST_GAP = 0.01  # s between two states that adds to their change
-_OBJECT_SPEED, _OBJECT_RATE = 5.0, 50.0  # m/s, rad/s: of a measured twist
+OBJECT_SPEED, OBJECT_RATE = 5.0, 50.0  # m/s, rad/s: of a measured twist
 _LASTING = 0.05  # s, after which a jump is accepted
 _TRUE_BYTE = b"\1"  # NumPy's True in memory
 _SAMPLES = 256  # postures from which the reach is computed
@@ -63,11 +63,10 @@ class StateGuard:
 
     def __init__(self, grasp: Grasp, validity: float, has_sensors: bool = False) -> None:
         hand, n = grasp.hand, grasp.hand.n
-        size = float(np.linalg.norm(grasp.contacts.p_OC, axis=1).max())  # m
-        reach = reach_of(hand) + size + _REACH_MARGIN  # m
+        reach = object_reach(grasp)  # m
         rate = _RATE_FACTOR * np.asarray(hand.velocity_limit)  # rad/s
         free = np.full(9, math.inf)
-        speed = np.repeat([_OBJECT_SPEED, _OBJECT_RATE], 3)
+        speed = np.repeat([OBJECT_SPEED, OBJECT_RATE], 3)
         # in the order of _stack: q, v, position, rotation and twist of the object
         self._lower = np.concatenate([hand.q_lower - _POSITION_MARGIN, -rate, np.full(3, -reach), -free, -speed])
         self._upper = np.concatenate([hand.q_upper + _POSITION_MARGIN, rate, np.full(3, reach), free, speed])
@@ -150,6 +149,16 @@ class StateGuard:
         if last is not None:
             return Implausible(field, float(x[i]), f"closer to the last one, {last[i]:.6g} {unit}: a jump")
         return Implausible(field, float(x[i]), f"plausible: from {self._lower[i]:.6g} to {self._upper[i]:.6g} {unit}")
+
+
+def object_reach(grasp: Grasp) -> float:
+    """Return an upper bound of the distance of a held object from the origin of H, m.
+
+    Args:
+        grasp: hand, object and contacts.
+    """
+    size = float(np.linalg.norm(grasp.contacts.p_OC, axis=1).max())  # m
+    return reach_of(grasp.hand) + size + _REACH_MARGIN
 
 
 @lru_cache(maxsize=32)

@@ -14,6 +14,7 @@ import msgspec
 from graspforce.control.object_control_law import ObjectControlLaw
 from graspforce.core.errors import RequestRefused
 from graspforce.core.json_text import JsonRecord
+from graspforce.service.server.desired_motion import DesiredGuard
 from graspforce.service.server.exact_control import ExactControl, check_finite
 from graspforce.service.server.joint_control import JointControl
 from graspforce.service.server.measured_control import MeasuredControl
@@ -87,10 +88,12 @@ class ServerStream:
         self._verifier = None if self.key is None else MessageVerifier(self.key, STATE)
         self._signer = None if self.key is None else MessageSigner(self.key, COMMAND)
         self._guard: StateGuard | None = None
+        self._desired_guard: DesiredGuard | None = None
         self._torque_step: TorqueStepLimit | None = None
         self._heat: StreamHeat | None = None
         if isinstance(setup, StreamSetup):
             self._guard = StateGuard(setup.grasp, setup.validity, setup.sensors is not None)
+            self._desired_guard = DesiredGuard(setup.grasp)
             self._torque_step = TorqueStepLimit(setup.grasp, setup.torque_step)
             self._heat = StreamHeat(setup.hand) if setup.hand.drives.has_thermal_data else None
         self._sequence: int | None = None
@@ -191,6 +194,8 @@ class ServerStream:
         self._sequence = state.sequence
         if self._guard is not None:
             self._guard.check(state.state, state.time, received)
+        if self._desired_guard is not None:
+            self._desired_guard.check(state.desired)
         record = self._silent_context.run(self._control.step, state)
         if self._torque_step is not None and isinstance(record, AnyCommand):
             self._torque_step.apply(record, state)

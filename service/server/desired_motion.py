@@ -1,0 +1,84 @@
+"""Plausibility of the desired motions of a stream: where the fingertips reach, at rates that a hand can have.
+
+A state with another desired motion is refused with the code ``implausible``, as an implausible state: one such motion would
+bring the joints to their limits, and estimates that follow the error would keep its effect.
+
+| quantity                                   | range                                                            |
+|--------------------------------------------|------------------------------------------------------------------|
+| desired position of the object             | reach of the fingertips + size of the object + 5 cm              |
+| desired twist of the object                | 5 m/s and 50 rad/s in each direction                             |
+| desired joint positions                    | the joint limits ± a tenth of their range                        |
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from graspforce.control import DesiredMotion
+from graspforce.control.state import GraspMotion, object_motion
+from graspforce.core.arrays import Array
+from graspforce.core.compiled import native
+from graspforce.grasp.grasp import Grasp
+from graspforce.service.server.plausibility import OBJECT_RATE, OBJECT_SPEED, Implausible, object_reach
+
+_JOINT_MARGIN = 0.1  # of the range of a joint
+
+
+class DesiredGuard:
+    """Checks of the desired motions of one stream.
+
+    Args:
+        grasp: hand, object and contacts.
+    """
+
+    def __init__(self, grasp: Grasp) -> None:
+        hand, reach = grasp.hand, np.full(3, object_reach(grasp))  # m
+        speed = np.repeat([OBJECT_SPEED, OBJECT_RATE], 3)
+        margin = np.where(np.isfinite(hand.q_upper - hand.q_lower), _JOINT_MARGIN * (hand.q_upper - hand.q_lower), 0.0)
+        self._position = _Range("desired.position", -reach, reach, "m")
+        self._twist = _Range("desired.twist", -speed, speed, "m/s or rad/s")
+        self._posture = _Range("desired.joints.posture", hand.q_lower - margin, hand.q_upper + margin, "rad or m")
+
+    def check(self, desired: DesiredMotion) -> None:
+        """Check a desired motion.
+
+        Args:
+            desired: the motion.
+
+        Raises:
+            Implausible: it is out of range; names the field.
+        """
+        body = object_motion(desired)
+        self._position.check(body.p_HO)
+        self._twist.check(body.twist)
+        if isinstance(desired, GraspMotion):
+            self._posture.check(desired.q)
+
+
+class _Range:
+    """The range of an array of numbers."""
+
+    def __init__(self, field: str, lower: Array, upper: Array, unit: str) -> None:
+        self._field, self._lower, self._upper, self._unit = field, lower, upper, unit
+        is_bounded = np.isfinite(lower) & np.isfinite(upper)
+        middle = np.where(is_bounded, 0.5 * (np.where(is_bounded, lower, 0.0) + np.where(is_bounded, upper, 0.0)), 0.0)
+        half = np.where(is_bounded, np.where(is_bounded, upper, 0.0) - middle, math.inf)
+        free = np.full(len(lower), math.inf)
+        self._rules = np.array([middle, half, free, free])
+
+    def check(self, x: Array) -> None:
+        """Check numbers.
+
+        Raises:
+            Implausible: one is out of range.
+        """
+        if len(x) != len(self._lower):
+            return  # the control law names the array
+        if native is not None and native.is_plausible_state(x, None, 0.0, self._rules):
+            return
+        for i, value in enumerate(x.tolist()):
+            if abs(value - self._rules[0, i]) > self._rules[1, i]:
+                allowed = f"plausible: from {self._lower[i]:.6g} to {self._upper[i]:.6g} {self._unit}"
+                raise Implausible(f"{self._field}[{i}]", value, allowed)
