@@ -1,9 +1,10 @@
 """Server time of a control stream without Zenoh, over its control step: `python -m benchmarks.stream_overhead`.
 
 A state goes from bytes through decoding, plausibility, control step and bound of the torque's step to the bytes of the command,
-as in the server. Its control step is `ObjectController.step` on the same states, in the same process. Both take turns in bursts
-at 1 kHz, so that a drift of the machine's speed and cold caches affect them equally. The ratio is that of the medians.
-With authentication, the code of the state is checked and the command is signed, too: clients of this package do so.
+as in the server. Two control steps on the same states stand beside it, in the same process: `ObjectController.step`, the reference
+in Python, and `CompiledControlLaw.step`, which streams with exact states use. All take turns in bursts at 1 kHz, so that a drift
+of the machine's speed and cold caches affect them equally. The ratios are those of the medians over both steps. With
+authentication, the code of the state is checked and the command is signed, too: clients of this package do so.
 
 The Allegro hand holds a sphere with three fingers. Clients of this package send binary arrays. "All fields" adds desired joint
 motions and an external wrench.
@@ -20,7 +21,8 @@ import numpy as np
 
 from benchmarks import report_page
 from benchmarks.control_stream import allegro_grasp, state_sequence
-from graspforce.control import DesiredMotion, GraspMotion, GraspState, ObjectController
+from graspforce.control import ControlSettings, DesiredMotion, GraspMotion, GraspState, ObjectController
+from graspforce.control.compiled_control_law import CompiledControlLaw
 from graspforce.grasp.grasp import Grasp
 from graspforce.service import StreamSetup, StreamState
 from graspforce.service.server.server_stream import ServerStream
@@ -28,7 +30,10 @@ from graspforce.service.wire import protocol
 from graspforce.service.wire.stream_authentication import STATE, MessageSigner
 
 BURST, WARM_UP, PERIOD = 50, 10, 1e-3  # states, states that are not timed, and s
-HEAD = ("state", "bytes in", "bytes out", "control step µs", "server µs", "ratio", "with authentication µs", "ratio ")
+HEAD = (
+    *("state", "bytes in", "bytes out", "control step µs", "in C µs", "server µs", "ratios"),
+    *("with authentication µs", "ratios "),
+)
 
 
 class Subject(NamedTuple):
@@ -106,7 +111,7 @@ def replace_time(state: StreamState, sequence: int) -> StreamState:
 
 
 def time_steps(grasp: Grasp, is_full: bool) -> Callable[[int], float]:
-    """Return a function that returns the time of a control step, s."""
+    """Return a function that returns the time of a control step of the reference, s."""
     controller, states = ObjectController(grasp), make_states(grasp, is_full)
 
     def step(i: int) -> float:
@@ -119,11 +124,32 @@ def time_steps(grasp: Grasp, is_full: bool) -> Callable[[int], float]:
     return step
 
 
+def time_compiled_steps(grasp: Grasp, is_full: bool) -> Callable[[int], float]:
+    """Return a function that returns the time of a control step of the law of streams, s."""
+    law, states = CompiledControlLaw(grasp, ControlSettings()), make_states(grasp, is_full)
+    memory = law.initial_memory()
+
+    def step(i: int) -> float:
+        nonlocal memory
+        state = states[i]
+        assert isinstance(state.state, GraspState)
+        begun = time.perf_counter()
+        _, memory = law.step(memory, state.state, state.desired, state.external)
+        return time.perf_counter() - begun
+
+    return step
+
+
 def measure(subject: Subject, rounds: int) -> tuple[str, ...]:
     """Return the row of a kind of state."""
     grasp = allegro_grasp()
     plain, authenticated = (Served(grasp, subject, each) for each in (False, True))
-    parts = {"step": time_steps(grasp, subject.is_full), "plain": plain.time_state, "codes": authenticated.time_state}
+    parts = {
+        "step": time_steps(grasp, subject.is_full),
+        "compiled": time_compiled_steps(grasp, subject.is_full),
+        "plain": plain.time_state,
+        "codes": authenticated.time_state,
+    }
     times: dict[str, list[float]] = {name: [] for name in parts}
     for _ in range(rounds):
         for name, part in parts.items():
@@ -134,16 +160,17 @@ def measure(subject: Subject, rounds: int) -> tuple[str, ...]:
                     times[name].append(seconds)
                 tick = max(tick + PERIOD, time.perf_counter())
                 time.sleep(max(tick - time.perf_counter(), 0.0))
-    step, without, codes = (float(np.median(times[name])) for name in parts)
+    step, compiled, without, codes = (float(np.median(times[name])) for name in parts)
     return (
         subject.name,
         str(plain.bytes_in),
         str(plain.bytes_out),
         f"{1e6 * step:.1f}",
+        f"{1e6 * compiled:.1f}",
         f"{1e6 * without:.1f}",
-        f"{without / step:.2f}",
+        f"{without / step:.2f}, {without / compiled:.2f}",
         f"{1e6 * codes:.1f}",
-        f"{codes / step:.2f}",
+        f"{codes / step:.2f}, {codes / compiled:.2f}",
     )
 
 
