@@ -1,10 +1,10 @@
 """Server time of a control stream without Zenoh, over its control step: `python -m benchmarks.stream_overhead`.
 
-A state goes from bytes through decoding, plausibility, control step and bound of the torque's step to the bytes of the command,
-as in the server. Two control steps on the same states stand beside it, in the same process: `ObjectController.step`, the reference
-in Python, and `CompiledControlLaw.step`, which streams with exact states use. All take turns in bursts at 1 kHz, so that a drift
-of the machine's speed and cold caches affect them equally. The ratios are those of the medians over both steps. With
-authentication, the code of the state is checked and the command is signed, too: clients of this package do so.
+A state goes from bytes through decoding, plausibility, control step and bound of the torque's step to the bytes of the
+command, as in the server. Two control steps on the same states stand beside it, in the same process: `ObjectController.step`,
+the reference in Python, and `CompiledControlLaw.step`, which streams with exact states use. All take turns in bursts at 1 kHz,
+so that a drift of the machine's speed and cold caches affect them equally. The ratios are those of the medians over both
+steps. With authentication, the code of the state is checked and the command is signed, too: clients of this package do so.
 
 The Allegro hand holds a sphere with three fingers. Clients of this package send binary arrays. "All fields" adds desired joint
 motions and an external wrench.
