@@ -97,7 +97,7 @@ class ControlSettings:
             contacts and on fingers without contact. The pull is limited so that joints approach at their speed limits at most.
         posture_damping: damping of the same motion, 1/s.
         gravity_H: (3,) acceleration of gravity in H, m/s².
-        period: time between two steps, s.
+        period: time between two steps, s, from 1e-6 to 10.
         integral_limit_linear: largest linear acceleration from the integral, m/s².
         integral_limit_angular: largest angular acceleration from the integral, rad/s².
         creep_limit: sliding distance of a fingertip from which the controller warns of slip, m. With noisy encoders at least
@@ -186,7 +186,8 @@ class ControlSettings:
         errors = ("friction_error", "mass_error", "contact_error", "position_error", "reflex_squeeze", "spin_compliance")
         for name in (*not_negative, "integral_limit_linear", "integral_limit_angular", *errors):
             set_fields(self, **{name: arrays.check_number(getattr(self, name), name, minimum=0.0)})
-        for name in ("period", "creep_limit", "creep_time", "contact_tolerance", "rank_tolerance", "reflex_time"):
+        set_fields(self, period=check_period(self.period))
+        for name in ("creep_limit", "creep_time", "contact_tolerance", "rank_tolerance", "reflex_time"):
             set_fields(self, **{name: arrays.check_number(getattr(self, name), name, above=0.0)})
         for name in ("friction_reserve", "rank_tolerance", "friction_error", "mass_error"):
             if getattr(self, name) >= 1.0:
@@ -227,7 +228,7 @@ class ControlSettings:
         base = cls() if base is None else base
         if drives is not None:
             targets = _targets_for(drives) if targets is None else targets
-            sensors = dataclasses.replace(sensors, latency=sensors.latency + drives.delay)
+            sensors = sensors.with_delay(drives.delay)
             hold = drives.longest_hold - max(base.period, 1.0 / sensors.rate)  # s, beyond that of the controller
             targets = dataclasses.replace(targets, delay_margin=targets.delay_margin + max(0.5 * hold, 0.0))
         gains, margins = fastest_loop(sensors, base.period, targets)
@@ -328,6 +329,19 @@ class ControlSettings:
             name, bracket, index = error.field.partition("[")
             record_name = _RECORD_NAMES.get(name, name) + bracket + index
             raise error.with_field(record_name).with_prefix(field) from None
+
+
+def check_period(value: object, field: str = "period") -> float:
+    """Return the time between two steps of a control loop, s, from 1e-6 to 10.
+
+    Args:
+        value: the value to check.
+        field: its path for error messages.
+
+    Raises:
+        InvalidInput: not a number in the range.
+    """
+    return arrays.check_number(arrays.check_number(value, field, above=0.0), field, minimum=1e-6, maximum=10.0)
 
 
 # Settings that the first edition lacks, and their defaults.

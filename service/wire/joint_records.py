@@ -12,6 +12,7 @@ from graspforce.control.joints.force_loop import ForceGains
 from graspforce.control.joints.joint_command import JointMotion
 from graspforce.control.joints.joint_controller import JOINT_LAWS, JointController
 from graspforce.control.joints.joint_laws import PDGains, PIDGains, PIDMemory
+from graspforce.control.settings import check_period
 from graspforce.core import arrays, fields, records
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
@@ -42,7 +43,7 @@ class JointStreamSetup:
 
     Args:
         controller: law, gains and gravity.
-        period: control period, s (default 0.001).
+        period: control period, s, from 1e-6 to 10 (default 0.001).
         validity: largest age of a good command, s, from when its state was sent (default 0.02).
         integral: (n,) integral of an earlier stream to continue from, N·m; None for a new start.
         authenticated: whether states and commands have authentication codes (`graspforce.service.wire.stream_authentication`).
@@ -58,8 +59,8 @@ class JointStreamSetup:
     authenticated: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("period", "validity"):
-            records.set_fields(self, **{name: arrays.check_number(getattr(self, name), name, above=0.0)})
+        validity = arrays.check_number(self.validity, "validity", above=0.0)
+        records.set_fields(self, period=check_period(self.period), validity=validity)
         if self.integral is not None:
             records.set_fields(self, integral=arrays.check_array(self.integral, "integral", (self.hand.n,)))
 

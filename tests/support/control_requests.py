@@ -137,6 +137,8 @@ BAD_GRASP = [
     (("settings", "gravity"), [0.0], "settings.gravity", "a list of 3 numbers, not 1"),
     (("settings", "gravity", 1), NAN, "settings.gravity[1]", "a finite number"),
     (("settings", "period"), 0.0, "settings.period", "greater than 0"),
+    (("settings", "period"), 1e18, "settings.period", "at least 1e-06 and at most 10"),
+    (("settings", "period"), 1e-320, "settings.period", "at least 1e-06 and at most 10"),
     (("settings", "gains", "kp_linear"), "high", "settings.gains.kp_linear", "a finite number, at least 0"),
     (("settings", "gains", "ki_linear"), 1e9, "settings.gains.ki_linear", "less than kp_linear·kd_linear"),
     (("settings", "gains"), 3.0, "settings.gains", "a record"),
@@ -170,8 +172,21 @@ BAD_STATE = [
     (("external",), [0.0] * 7, "external", "a list of 6 numbers, not 7"),
     (("wrench",), [0.0] * 6, "wrench", "absent: the known fields are"),
 ]
+_NOISES = ("encoder_noise", "encoder_resolution", "velocity_noise", "torque_noise", "current_noise", "tip_force_noise")
+_POSE_NOISES = ("position_noise", "angle_noise", "position_bias", "angle_bias")
+BAD_SENSORS = [
+    *((("sensors",), {"latency": value}, "sensors.latency", "at least 0 and at most 1") for value in (1e3, 1e308)),
+    *((("sensors",), {"rate": value}, "sensors.rate", "at least 0.1 and at most 1e+06") for value in (1e-320, 1e308)),
+    *((("sensors",), {name: 1e308}, f"sensors.{name}", "at least 0 and at most 1000") for name in _NOISES),
+    *((("sensors",), {"camera": {name: 1e308}}, f"sensors.camera.{name}", "at least") for name in _POSE_NOISES),
+    (("sensors",), {"camera": {"position_noise": 1e-320}}, "sensors.camera.position_noise", "at least 1e-15"),
+    (("sensors",), {"camera": {"rate": 1e-320}}, "sensors.camera.rate", "at least 0.001 and at most 1e+06"),
+    (("sensors",), {"camera": {"latency": 1e4}}, "sensors.camera.latency", "at least 0 and at most 1"),
+    (("sensors",), {"encoder_noise": True}, "sensors.encoder_noise", "a finite number"),
+]
 BAD_SETUP = [
     *BAD_GRASP,
+    *BAD_SENSORS,
     (("hand",), "left", "hand", "one of four_finger"),
     (("hand",), 3, "hand", "text"),
     (("validity",), 0.0, "validity", "greater than 0"),
