@@ -9,7 +9,7 @@ from types import MappingProxyType
 import msgspec
 import numpy as np
 
-from graspforce.core.errors import BackendError, InvalidInput, ModelError, RequestRefused
+from graspforce.core.errors import BackendError, InvalidInput, ModelError, RequestRefused, UnknownField
 from graspforce.core.printable import escape_controls
 from graspforce.service.wire import protocol
 
@@ -74,7 +74,8 @@ def describe_error(
         request: `client` and `sequence` of the request, for the log.
     """
     if isinstance(error, InvalidInput):
-        return error.code, str(error), error.field or None
+        is_named = error.field or isinstance(error, UnknownField)  # the name of an unknown field may be empty
+        return error.code, str(error), error.field if is_named else None
     if isinstance(error, RequestRefused):
         return error.code, error.message, None
     if isinstance(error, MemoryError):
