@@ -102,9 +102,8 @@ class Body:
         given = {name: item for name, item in values.items() if item is not None}
         shape = Solid.from_dict(given["shape"], f"{field}.shape") if "shape" in given else None
         try:
-            mass = arrays.check_number(
-                arrays.check_number(values["mass"], "mass", above=0.0), "mass", minimum=1e-9, maximum=1e6
-            )
+            mass = arrays.check_number(values["mass"], "mass", above=0.0)
+            arrays.check_number(mass, "mass", minimum=_LEAST_MASS, maximum=_LARGEST_MASS)
             if "inertia" in given:
                 centre = given.get("centre_of_mass", (0.0, 0.0, 0.0))
                 centre = arrays.check_array(centre, "centre_of_mass", (3,), limit=LARGEST_DISTANCE)
