@@ -244,9 +244,7 @@ class Solid(Shape):
         except InvalidInput as error:
             raise error.with_prefix(field) from None
         if not _LEAST_SIZE <= shape._largest_half_extent <= LARGEST_DISTANCE:
-            raise InvalidInput(
-                field, record, f"of a size with half-extents from {_LEAST_SIZE:g} to {LARGEST_DISTANCE:g} m"
-            )
+            raise InvalidInput(field, record, f"of a size with half-extents from {_LEAST_SIZE:g} to {LARGEST_DISTANCE:g} m")
         return shape
 
     @classmethod
