@@ -13,6 +13,7 @@ import numpy.typing as npt
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.compiled import Block, native, new_block
+from graspforce.core.constants import LARGEST_MOTION
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields, unchecked_constructor
 from graspforce.geometry.poses import pose_from_dict, pose_to_dict
@@ -60,7 +61,8 @@ class BodyMotion:
         """Return the motion of a record: a pose, with `twist` and `acceleration`, zeros by default.
 
         Args:
-            record: mapping with `position` (m), `rotation` or `quaternion`, and optional fields.
+            record: mapping with `position` (m), `rotation` or `quaternion`, and optional fields. Positions are at most 1e3 m,
+                other numbers at most 1e6.
             field: path of the record, for error messages.
             optional: names of the optional fields that the record may have. The caller reads those besides `twist` and
                 `acceleration`.
@@ -70,7 +72,7 @@ class BodyMotion:
         """
         p_HO, R_HO, values = pose_from_dict(record, field, optional)
         rates = {
-            name: arrays.check_array(values[name], f"{field}.{name}", (6,))
+            name: arrays.check_array(values[name], f"{field}.{name}", (6,), limit=LARGEST_MOTION)
             for name in ("twist", "acceleration")
             if values.get(name) is not None
         }

@@ -12,6 +12,7 @@ from graspforce.control.drives.torque_factors import TorqueFactors
 from graspforce.control.friction.friction_compensation import FrictionMemory
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
+from graspforce.core.constants import LARGEST_MOTION
 from graspforce.core.json_text import JsonRecord
 
 
@@ -84,7 +85,7 @@ class ControlMemory:
         count, given = len(contacts), (values.get(name) for name in optional)
         force, touched, friction, reflex, stop, ramp, spin, margin, factors = given
         return cls(
-            arrays.check_array(values["integral"], f"{field}.integral", (6,)),
+            arrays.check_array(values["integral"], f"{field}.integral", (6,), limit=LARGEST_MOTION),
             arrays.check_rotations(values["frames"], f"{field}.frames", count),
             arrays.check_array(values["creep"], f"{field}.creep", (count, 2)),
             None if force is None else arrays.check_array(force, f"{field}.force", (contacts.size,)),

@@ -110,7 +110,7 @@ class OutputFeedbackLaw:
         monitored: bool | None = None,
     ) -> None:
         measured = _with_least_noise(SensorModel() if sensors is None else sensors)
-        self.sensors = replace(measured, latency=measured.latency + grasp.hand.drives.delay)
+        self.sensors = measured.with_delay(grasp.hand.drives.delay)
         if settings is None:
             base = ControlSettings(period=1.0 / measured.rate)
             settings = ControlSettings.for_sensors(measured, base, drives=grasp.hand.drives).settings

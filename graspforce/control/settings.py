@@ -34,9 +34,9 @@ class PoseGains(SettingsRecord):
     and the integral removes an offset with a time constant of about 0.2 s.
 
     Args:
-        kp_linear, kp_angular: proportional gains, 1/s², at least 0.
-        kd_linear, kd_angular: derivative gains, 1/s, at least 0.
-        ki_linear, ki_angular: integral gains, 1/s³, at least 0 and less than kd·kp (Routh's criterion).
+        kp_linear, kp_angular: proportional gains, 1/s², from 0 to 1e12.
+        kd_linear, kd_angular: derivative gains, 1/s, from 0 to 1e12.
+        ki_linear, ki_angular: integral gains, 1/s³, from 0 to 1e12 and less than kd·kp (Routh's criterion).
 
     Raises:
         InvalidInput: a gain is negative or not finite, or the loop is unstable.
@@ -53,7 +53,7 @@ class PoseGains(SettingsRecord):
 
     def __post_init__(self) -> None:
         gains = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
-        set_fields(self, **{name: arrays.check_number(gain, name, minimum=0.0) for name, gain in gains.items()})
+        set_fields(self, **{name: arrays.check_number(gain, name, minimum=0.0, maximum=1e12) for name, gain in gains.items()})
         for part in ("linear", "angular"):
             kp, kd, ki = (getattr(self, f"{gain}_{part}") for gain in ("kp", "kd", "ki"))
             if ki > 0.0 and ki >= kp * kd:
@@ -85,7 +85,7 @@ class PoseGains(SettingsRecord):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ControlSettings:
-    """Settings of the object controller.
+    """Settings of the object controller. Each number is at most 1e6.
 
     Args:
         gains: gains on the object's pose error.
@@ -97,7 +97,7 @@ class ControlSettings:
             contacts and on fingers without contact. The pull is limited so that joints approach at their speed limits at most.
         posture_damping: damping of the same motion, 1/s.
         gravity_H: (3,) acceleration of gravity in H, m/s².
-        period: time between two steps, s.
+        period: time between two steps, s, from 1e-6 to 10.
         integral_limit_linear: largest linear acceleration from the integral, m/s².
         integral_limit_angular: largest angular acceleration from the integral, rad/s².
         creep_limit: sliding distance of a fingertip from which the controller warns of slip, m. With noisy encoders at least
@@ -185,16 +185,17 @@ class ControlSettings:
         not_negative = ("slip_margin", "friction_reserve", "force_weight", "posture_stiffness", "posture_damping")
         errors = ("friction_error", "mass_error", "contact_error", "position_error", "reflex_squeeze", "spin_compliance")
         for name in (*not_negative, "integral_limit_linear", "integral_limit_angular", *errors):
-            set_fields(self, **{name: arrays.check_number(getattr(self, name), name, minimum=0.0)})
-        for name in ("period", "creep_limit", "creep_time", "contact_tolerance", "rank_tolerance", "reflex_time"):
-            set_fields(self, **{name: arrays.check_number(getattr(self, name), name, above=0.0)})
+            set_fields(self, **{name: arrays.check_number(getattr(self, name), name, minimum=0.0, maximum=_LARGEST)})
+        set_fields(self, period=check_period(self.period))
+        for name in ("creep_limit", "creep_time", "contact_tolerance", "rank_tolerance", "reflex_time"):
+            set_fields(self, **{name: arrays.check_number(getattr(self, name), name, above=0.0, maximum=_LARGEST)})
         for name in ("friction_reserve", "rank_tolerance", "friction_error", "mass_error"):
             if getattr(self, name) >= 1.0:
                 raise InvalidInput(name, getattr(self, name), "less than 1")
         if self.friction is not None and not isinstance(self.friction, FrictionSettings):
             raise InvalidInput("friction", self.friction, "FrictionSettings, or None")
         steps = fields.check_integer(self.clearance_steps, "clearance_steps", minimum=0, maximum=_MAX_CLEARANCE_STEPS)
-        gravity_H = arrays.check_array(self.gravity_H, "gravity_H", (3,))
+        gravity_H = arrays.check_array(self.gravity_H, "gravity_H", (3,), limit=_LARGEST)
         set_fields(self, gravity_H=gravity_H, clearance_steps=steps, obstacles=check_obstacles(self.obstacles))
 
     @classmethod
@@ -227,7 +228,7 @@ class ControlSettings:
         base = cls() if base is None else base
         if drives is not None:
             targets = _targets_for(drives) if targets is None else targets
-            sensors = dataclasses.replace(sensors, latency=sensors.latency + drives.delay)
+            sensors = sensors.with_delay(drives.delay)
             hold = drives.longest_hold - max(base.period, 1.0 / sensors.rate)  # s, beyond that of the controller
             targets = dataclasses.replace(targets, delay_margin=targets.delay_margin + max(0.5 * hold, 0.0))
         gains, margins = fastest_loop(sensors, base.period, targets)
@@ -330,6 +331,19 @@ class ControlSettings:
             raise error.with_field(record_name).with_prefix(field) from None
 
 
+def check_period(value: object, field: str = "period") -> float:
+    """Return the time between two steps of a control loop, s, from 1e-6 to 10.
+
+    Args:
+        value: the value to check.
+        field: its path for error messages.
+
+    Raises:
+        InvalidInput: not a number in the range.
+    """
+    return arrays.check_number(arrays.check_number(value, field, above=0.0), field, minimum=1e-6, maximum=10.0)
+
+
 # Settings that the first edition lacks, and their defaults.
 _LATER = {
     "friction": None,
@@ -362,6 +376,7 @@ def _targets_for(drives: Drives) -> LoopTargets:
 
 _DRIVE_INTEGRAL = 15.0  # 1/s
 _MAX_CLEARANCE_STEPS = 10**6
+_LARGEST = 1e6  # of each setting in its unit
 _SPIN_COMPLIANCE, _STIFF_SPIN_COMPLIANCE = 0.01, 0.03  # m/rad; joints with friction move less
 _POSITION_DEVIATIONS = 3.0  # standard deviations that count as the largest error
 _LEVER = 0.1  # m: length of a finger, from joint motions to motions of the object

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from graspforce.contact.motion import BodyMotion
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
+from graspforce.core.constants import LARGEST_MOTION
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
@@ -66,9 +67,9 @@ class GraspState:
             InvalidInput: a field is missing, unknown or out of range; names it with its path.
         """
         values = fields.check_record(record, field, required=["posture", "object"], optional=["velocity"])
-        q = arrays.check_array(values["posture"], f"{field}.posture", (n,))
+        q = arrays.check_array(values["posture"], f"{field}.posture", (n,), limit=LARGEST_MOTION)
         v = values.get("velocity")
-        v = np.zeros(n) if v is None else arrays.check_array(v, f"{field}.velocity", (n,))
+        v = np.zeros(n) if v is None else arrays.check_array(v, f"{field}.velocity", (n,), limit=LARGEST_MOTION)
         return cls(q, v, BodyMotion.from_dict(values["object"], f"{field}.object", ("twist",)))
 
 
@@ -124,7 +125,10 @@ class GraspMotion:
             record.get("joints"), f"{field}.joints", required=["posture"], optional=["velocity", "acceleration"]
         )
         given = {name: value for name, value in values.items() if value is not None or name == "posture"}
-        named = {name: arrays.check_array(value, f"{field}.joints.{name}", (n,)) for name, value in given.items()}
+        named = {
+            name: arrays.check_array(value, f"{field}.joints.{name}", (n,), limit=LARGEST_MOTION)
+            for name, value in given.items()
+        }
         rest = freeze(np.zeros(n))
         return cls(motion, named["posture"], named.get("velocity", rest), named.get("acceleration", rest))
 

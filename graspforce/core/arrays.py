@@ -34,6 +34,7 @@ def check_array(
     *,
     minimum: float | None = None,
     above: float | None = None,
+    limit: float | None = None,
 ) -> Array:
     """Return a read-only float64 copy of an array of finite numbers.
 
@@ -43,6 +44,7 @@ def check_array(
         shape: the required shape; None stands for any length.
         minimum: smallest allowed number, if any.
         above: the value that all numbers must exceed, if any.
+        limit: largest allowed magnitude, if any.
 
     Raises:
         InvalidInput: not numbers, another shape, NaN or infinity, or a number outside the range; names the first one.
@@ -55,6 +57,8 @@ def check_array(
         raise _invalid_number(result, field, result < minimum, f"at least {minimum:g}")
     if above is not None and (result <= above).any():
         raise _invalid_number(result, field, result <= above, f"greater than {above:g}")
+    if limit is not None and any(abs(x) > limit for x in result.ravel().tolist()):  # faster than NumPy for small arrays
+        raise _invalid_number(result, field, np.abs(result) > limit, f"from {-limit:g} to {limit:g}")
     result.setflags(write=False)
     return result
 
@@ -142,7 +146,9 @@ def check_limits(value: object, field: str, length: int, no_limit: float) -> Arr
     return result
 
 
-def check_number(value: object, field: str, *, minimum: float | None = None, above: float | None = None) -> float:
+def check_number(
+    value: object, field: str, *, minimum: float | None = None, above: float | None = None, maximum: float | None = None
+) -> float:
     """Return a finite number as a float.
 
     Args:
@@ -150,22 +156,24 @@ def check_number(value: object, field: str, *, minimum: float | None = None, abo
         field: its path for error messages.
         minimum: smallest allowed value, if any.
         above: the value that it must exceed, if any.
+        maximum: largest allowed value, if any.
 
     Raises:
         InvalidInput: not a finite number, or outside the range.
     """
     result = _as_finite_float(value)
     if result is None:
-        raise InvalidInput(field, value, ", ".join(["a finite number", *_bounds(minimum, above)]))
-    if (minimum is not None and result < minimum) or (above is not None and result <= above):
-        raise InvalidInput(field, value, " and ".join(_bounds(minimum, above)))
+        raise InvalidInput(field, value, ", ".join(["a finite number", *_bounds(minimum, above, maximum)]))
+    is_low = (minimum is not None and result < minimum) or (above is not None and result <= above)
+    if is_low or (maximum is not None and result > maximum):
+        raise InvalidInput(field, value, " and ".join(_bounds(minimum, above, maximum)))
     return result
 
 
-def _bounds(minimum: float | None, above: float | None) -> list[str]:
+def _bounds(minimum: float | None, above: float | None, maximum: float | None) -> list[str]:
     """Return the words for the bounds of a number."""
-    at_least = [] if minimum is None else [f"at least {minimum:g}"]
-    return at_least if above is None else [*at_least, f"greater than {above:g}"]
+    words = (("at least", minimum), ("greater than", above), ("at most", maximum))
+    return [f"{word} {bound:g}" for word, bound in words if bound is not None]
 
 
 def _invalid_number(array: Array, field: str, is_invalid: npt.NDArray[np.bool_], allowed: str) -> InvalidInput:

@@ -6,7 +6,6 @@ Noise is given as the standard deviation of each component, independent between 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -16,16 +15,22 @@ from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
 from graspforce.core.settings_record import SettingsRecord
 
+_LONGEST_LATENCY, _LARGEST_NOISE = 1.0, 1e3  # s, and in the unit of each noise
+_MOST_PERIODS = 1000  # of latency: the joint filter stores a command for each
+_JOINT_RATES, _CAMERA_RATES = (0.1, 1e6), (1e-3, 1e6)  # Hz
+_CAMERA_NOISES = (1e-15, _LARGEST_NOISE)  # m, rad; a noise of zero would make the gains singular
+
 
 @dataclass(frozen=True, slots=True)
 class CameraModel(SettingsRecord):
     """Camera, or another sensor of the object's pose in H.
 
     Args:
-        rate: images per second, Hz.
-        latency: time from the exposure to the arrival of the pose, s. The poses carry their time; this is used for gains only.
-        position_noise: standard deviation of each coordinate, m.
-        angle_noise: standard deviation of the rotation about each axis, rad.
+        rate: images per second, Hz, from 1e-3 to 1e6.
+        latency: time from the exposure to the arrival of the pose, s, at most 1. The poses carry their time; this is used for
+            gains only.
+        position_noise: standard deviation of each coordinate, m, from 1e-15 to 1e3, as of the other errors from 0 to 1e3.
+        angle_noise: standard deviation of the rotation about each axis, rad, from 1e-15 to 1e3.
         position_bias: standard deviation of each coordinate of the constant error, such as of the calibration, m.
         angle_bias: standard deviation of the constant error about each axis, rad.
 
@@ -43,18 +48,19 @@ class CameraModel(SettingsRecord):
     angle_bias: float = 0.0
 
     def __post_init__(self) -> None:
-        _check_fields(self, above_zero=("rate", "position_noise", "angle_noise"))
+        _check_fields(self, rate=_CAMERA_RATES, position_noise=_CAMERA_NOISES, angle_noise=_CAMERA_NOISES)
 
 
 @dataclass(frozen=True, slots=True)
 class SensorModel:
-    """Sensors of a hand.
+    """Sensors of a hand. Noises and the resolution are from 0 to 1e3.
 
     Args:
         encoder_noise: standard deviation of a joint position, rad.
         encoder_resolution: step of the measured joint positions, rad; zero for continuous values.
-        rate: measurements of the joints per second, Hz.
-        latency: time from the measurement to the torque that follows from it, s, beyond the period of the control loop.
+        rate: measurements of the joints per second, Hz, from 0.1 to 1e6.
+        latency: time from the measurement to the torque that follows from it, s, beyond the period of the control loop; at
+            most 1 s, and at most 1000 periods.
         has_velocity: whether joint rates are measured.
         velocity_noise: standard deviation of a measured joint rate, rad/s.
         torque_noise: standard deviation of a measured joint torque, N·m; None if torques are not measured.
@@ -82,7 +88,7 @@ class SensorModel:
         fields.check_boolean(self.has_velocity, "has_velocity")
         if self.camera is not None and not isinstance(self.camera, CameraModel):
             raise InvalidInput("camera", self.camera, "a CameraModel, or None")
-        _check_fields(self, above_zero=("rate",))
+        _check_fields(self, rate=_JOINT_RATES)
 
     @property
     def encoder_variance(self) -> float:
@@ -93,6 +99,35 @@ class SensorModel:
     def has_force_sensors(self) -> bool:
         """Whether joint torques, motor currents or fingertip forces are measured."""
         return any(each is not None for each in (self.torque_noise, self.current_noise, self.tip_force_noise))
+
+    def with_delay(self, delay: float) -> SensorModel:
+        """Return the same sensors with a larger latency.
+
+        Args:
+            delay: time to add to the latency, such as the delay of drives, s.
+
+        Raises:
+            InvalidInput: the sum is out of the range of a latency.
+        """
+        try:
+            return dataclasses.replace(self, latency=self.latency + delay)
+        except InvalidInput:
+            allowed = f"at most {_LONGEST_LATENCY:g} with the delay of the drives, {delay:g} s"
+            raise InvalidInput("sensors.latency", self.latency, allowed) from None
+
+    def latency_periods(self, period: float) -> int:
+        """Return the latency in periods.
+
+        Args:
+            period: time between two measurements, s.
+
+        Raises:
+            InvalidInput: more than 1000 periods; names `sensors.latency`.
+        """
+        if self.latency > _MOST_PERIODS * period:
+            allowed = f"at most {_MOST_PERIODS} periods, {_MOST_PERIODS * period:g} s, with the delay of the drives"
+            raise InvalidInput("sensors.latency", self.latency, allowed)
+        return round(self.latency / period)
 
     def to_dict(self) -> JsonRecord:
         """Return the record of the sensors."""
@@ -115,11 +150,11 @@ class SensorModel:
         return fields.read_dataclass(cls, values, field)
 
 
-def _check_fields(sensor: CameraModel | SensorModel, above_zero: Collection[str]) -> None:
-    """Check the numbers of a sensor: at least 0, and the named ones greater than 0."""
+def _check_fields(sensor: CameraModel | SensorModel, **ranges: tuple[float, float]) -> None:
+    """Check the numbers of a sensor: the named ones in their ranges, the latency at most 1 s, the others at most 1e3."""
+    ranges = {"latency": (0.0, _LONGEST_LATENCY), **ranges}
     for each in dataclasses.fields(sensor):
         value = getattr(sensor, each.name)
-        if each.name in above_zero:
-            set_fields(sensor, **{each.name: arrays.check_number(value, each.name, above=0.0)})
-        elif value is not None and not isinstance(value, bool | CameraModel):
-            set_fields(sensor, **{each.name: arrays.check_number(value, each.name, minimum=0.0)})
+        if each.name not in ("has_velocity", "camera") and not (value is None and each.default is None):
+            minimum, maximum = ranges.get(each.name, (0.0, _LARGEST_NOISE))
+            set_fields(sensor, **{each.name: arrays.check_number(value, each.name, minimum=minimum, maximum=maximum)})

@@ -9,6 +9,7 @@ import numpy as np
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.compiled import native
+from graspforce.core.constants import LARGEST_DISTANCE
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.geometry.rotations import rotation_exp, rotation_from_quaternion, rotation_log
@@ -28,7 +29,7 @@ def pose_from_dict(record: object, field: str, optional: Collection[str] = ()) -
     """Read a pose from its record.
 
     Args:
-        record: mapping with `position` (m), and `rotation` or `quaternion`.
+        record: mapping with `position` (m, at most 1e3 in each direction), and `rotation` or `quaternion`.
         field: path of the record, for error messages.
         optional: names of further fields that the record may have; the caller reads them.
 
@@ -41,7 +42,7 @@ def pose_from_dict(record: object, field: str, optional: Collection[str] = ()) -
     values = fields.check_record(record, field, required=["position"], optional=["rotation", "quaternion", *optional])
     if ("rotation" in values) == ("quaternion" in values):
         raise InvalidInput(field, record, "given with either rotation or quaternion")
-    p = arrays.check_array(values["position"], f"{field}.position", (3,))
+    p = arrays.check_array(values["position"], f"{field}.position", (3,), limit=LARGEST_DISTANCE)
     if "rotation" in values:
         return p, arrays.check_rotation(values["rotation"], f"{field}.rotation"), values
     return p, rotation_from_quaternion(values["quaternion"], f"{field}.quaternion"), values

@@ -22,12 +22,14 @@ import numpy.typing as npt
 
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
+from graspforce.core.constants import LARGEST_DISTANCE
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.geometry.vectors import row_norms, tangent_bases
 
 SurfaceParameters = tuple[str, float, float, float] | tuple[str, float, float, float, float, float]
 SURFACE_TOLERANCE = 1e-6  # distance from the surface, or from an edge, that counts as zero; relative to the half-extent
+_LEAST_SIZE = 1e-6  # m, of a shape in a record
 
 
 class Shape(ABC):
@@ -223,7 +225,8 @@ class Solid(Shape):
         """Return the sphere, cylinder, box, superquadric or mesh of a record.
 
         Args:
-            record: mapping with `type` and the sizes by the names of the constructor's arguments.
+            record: mapping with `type` and the sizes by the names of the constructor's arguments. The largest half-extent is
+                from 1e-6 to 1e3 m.
             field: path of the record, for error messages.
 
         Raises:
@@ -237,9 +240,12 @@ class Solid(Shape):
         required = [name for name in names if name not in defaults]
         values = fields.check_record(record, field, required=["type", *required], optional=defaults)
         try:
-            return solid(**{name: values[name] for name in names if name in values})
+            shape = solid(**{name: values[name] for name in names if name in values})
         except InvalidInput as error:
             raise error.with_prefix(field) from None
+        if not _LEAST_SIZE <= shape._largest_half_extent <= LARGEST_DISTANCE:
+            raise InvalidInput(field, record, f"of a size with half-extents from {_LEAST_SIZE:g} to {LARGEST_DISTANCE:g} m")
+        return shape
 
     @classmethod
     def _record_fields(cls) -> list[str]:

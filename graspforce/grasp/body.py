@@ -18,11 +18,15 @@ import numpy.typing as npt
 from graspforce.contact.motion import BodyMotion
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
+from graspforce.core.constants import LARGEST_DISTANCE
 from graspforce.core.errors import InvalidInput, MissingField
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
 from graspforce.geometry import Shape, Solid
 from graspforce.geometry.vectors import skew
+
+_LEAST_MASS, _LARGEST_MASS = 1e-9, 1e6  # kg, of bodies in records
+_LEAST_MOMENT, _LARGEST_MOMENT = 1e-20, 1e9  # kg·m²; a grain of sand has 1e-13
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -86,8 +90,9 @@ class Body:
         """Return the body of a record.
 
         Args:
-            record: mapping with `mass` (kg), and optional `inertia` (3 × 3, kg·m², about the centre of mass),
-                `centre_of_mass` (m, in O) and `shape`. Without `inertia`, the shape is required and the density is uniform.
+            record: mapping with `mass` (kg, from 1e-9 to 1e6), and optional `inertia` (3 × 3, kg·m², about the centre of mass,
+                principal moments from 1e-20 to 1e9), `centre_of_mass` (m, in O, at most 1e3 in each direction) and `shape`.
+                Without `inertia`, the shape is required and the density is uniform.
             field: path of the record, for error messages.
 
         Raises:
@@ -97,14 +102,18 @@ class Body:
         given = {name: item for name, item in values.items() if item is not None}
         shape = Solid.from_dict(given["shape"], f"{field}.shape") if "shape" in given else None
         try:
+            mass = arrays.check_number(values["mass"], "mass", above=0.0)
+            arrays.check_number(mass, "mass", minimum=_LEAST_MASS, maximum=_LARGEST_MASS)
             if "inertia" in given:
-                centre = arrays.check_array(given.get("centre_of_mass", (0.0, 0.0, 0.0)), "centre_of_mass", (3,))
-                return cls(values["mass"], given["inertia"], centre, shape)
+                centre = given.get("centre_of_mass", (0.0, 0.0, 0.0))
+                centre = arrays.check_array(centre, "centre_of_mass", (3,), limit=LARGEST_DISTANCE)
+                inertia = arrays.check_array(given["inertia"], "inertia", (3, 3), limit=_LARGEST_MOMENT)
+                return _check_moments(cls(mass, inertia, centre, shape), "inertia", inertia)
             if shape is None:
                 raise MissingField("inertia", "required without a shape")
             if "centre_of_mass" in given:
                 raise InvalidInput("centre_of_mass", given["centre_of_mass"], "absent without inertia")
-            return cls.solid(shape, values["mass"])
+            return _check_moments(cls.solid(shape, mass), "shape", shape)
         except InvalidInput as error:
             raise error.with_prefix(field) from None
 
@@ -198,6 +207,15 @@ class Body:
         """
         top = np.hstack([np.sqrt(self.mass) * np.eye(3), np.zeros((3, 3))])
         return freeze(np.vstack([top, np.hstack([skew(np.sqrt(self.mass) * self.p_OM), np.linalg.cholesky(self.inertia)])]))
+
+
+def _check_moments(body: Body, field: str, value: object) -> Body:
+    """Return the body if its principal moments are those of a body that a hand can hold."""
+    moments = np.linalg.eigvalsh(body.inertia)
+    if not _LEAST_MOMENT <= moments[0] <= moments[2] <= _LARGEST_MOMENT:
+        allowed = f"of principal moments from {_LEAST_MOMENT:g} to {_LARGEST_MOMENT:g} kg·m²"
+        raise InvalidInput(field, value, allowed)
+    return body
 
 
 def _check_inertia(value: object) -> Array:

@@ -13,6 +13,7 @@ from graspforce.contact.contact import Contact, ContactSet
 from graspforce.contact.motion import BodyMotion
 from graspforce.core import arrays, fields, json_text
 from graspforce.core.arrays import Array
+from graspforce.core.constants import LARGEST_DISTANCE, LARGEST_MOTION
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.whole_file import write_text
@@ -130,7 +131,7 @@ class HandContacts:
         body = Body.from_dict(values["body"], f"{field}.body")
         contacts, names = contacts_from_dicts(values["contacts"], f"{field}.contacts", cls.contact_key)
         cls.check_names(hand, names, f"{field}.contacts")
-        q = arrays.check_array(values["posture"], f"{field}.posture", (hand.n,))
+        q = arrays.check_array(values["posture"], f"{field}.posture", (hand.n,), limit=LARGEST_MOTION)
         p_HO, R_HO, _ = pose_from_dict(values["object"], f"{field}.object")
         try:
             return cls(hand, body, names, ContactSet.stack(contacts), q, p_HO, R_HO)
@@ -188,7 +189,7 @@ def contacts_from_dicts(records: object, field: str, key: ContactKey = "finger")
     """Return the contacts in O, and the name of the finger or link at each, of a list of records.
 
     Args:
-        records: list of mappings, each the record of a `Contact` with its `finger` or `link`.
+        records: list of mappings, each the record of a `Contact` with its `finger` or `link`; positions are at most 1e3 m.
         field: path of the list, for error messages.
         key: the key of the name.
 
@@ -201,6 +202,7 @@ def contacts_from_dicts(records: object, field: str, key: ContactKey = "finger")
         record = fields.check_record(item, f"{field}[{i}]", required=[key], optional=contact_fields)
         names.append(fields.check_text(record.pop(key), f"{field}[{i}].{key}"))
         contacts.append(Contact.from_dict(record, f"{field}[{i}]"))
+        arrays.check_array(contacts[-1].position, f"{field}[{i}].position", (3,), limit=LARGEST_DISTANCE)
     return tuple(contacts), tuple(names)
 
 

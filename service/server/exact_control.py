@@ -93,12 +93,17 @@ def present_conditions(state: StreamState, grasp: Grasp) -> ContactConditions | 
         grasp: the present grasp.
 
     Raises:
-        InvalidInput: the conditions do not fit the fingers that the state names for them.
+        InvalidInput: the conditions do not fit the contacts, or the fingers that the state names for them.
+        UnknownName: a lost finger that the grasp does not use.
     """
-    if state.conditions is None or state.fingers is None:
-        return state.conditions
+    conditions = state.conditions
+    if conditions is None:
+        return None
     try:
-        return state.conditions.for_grasp(grasp, state.fingers)
+        if state.fingers is not None:
+            return conditions.for_grasp(grasp, state.fingers)
+        conditions.check(grasp)
+        return conditions
     except InvalidInput as error:
         raise error.with_prefix("conditions") from None
 

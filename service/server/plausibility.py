@@ -5,7 +5,8 @@ until its `validity` ends; then its watchdog holds the joints. With dt the time 
 
 | quantity                  | range                                               | change                                 |
 |---------------------------|-----------------------------------------------------|----------------------------------------|
-| joint positions           | the joint limits ± 0.1 rad                          | 0.05 rad + 1.5 dt × the limit of rates |
+| positions of turning      | the joint limits ± 0.1 rad                          | 0.05 rad + 1.5 dt × the limit of rates |
+| and of sliding joints     | the joint limits ± 5 mm                             | 2.5 mm + 1.5 dt × the limit of rates   |
 | joint rates               | 3 × their limits                                    | any                                    |
 | position of the object    | reach of the fingertips + size of the object + 5 cm | 0.01 m + 2 m/s dt                      |
 | orientation of the object | any                                                 | 0.1 + 20 rad/s dt, each entry of R     |
@@ -32,10 +33,11 @@ from graspforce.grasp.grasp import Grasp
 from graspforce.hand.hand import Hand
 from graspforce.service.wire.stream_state import STACKED_NUMBERS
 
-_POSITION_MARGIN = 0.1  # rad
+_POSITION_MARGIN, _SLIDE_MARGIN = 0.1, 0.005  # rad, and m for prismatic joints
 _RATE_FACTOR = 3.0  # largest measured rate over the limit of the rate; measured rates are noisy
 _REACH_MARGIN = 0.05  # m
-_JUMP_POSTURE, _JUMP_POSITION, _JUMP_ROTATION = 0.05, 0.01, 0.1  # rad, m and –, without time between two states
+_JUMP_POSTURE, _JUMP_SLIDE = 0.05, 0.0025  # rad, and m for prismatic joints, without time between two states
+_JUMP_POSITION, _JUMP_ROTATION = 0.01, 0.1  # m and –, of the object
 _JUMP_RATE_FACTOR, _JUMP_SPEED, _JUMP_RATE = 1.5, 2.0, 20.0  # –, m/s, rad/s: of a motion between two states
 _LONGEST_GAP = 0.01  # s between two states that adds to their change
 OBJECT_SPEED, OBJECT_RATE = 5.0, 50.0  # m/s, rad/s: of a measured twist
@@ -64,16 +66,20 @@ class StateGuard:
     def __init__(self, grasp: Grasp, validity: float, has_sensors: bool = False) -> None:
         hand, n = grasp.hand, grasp.hand.n
         reach = object_reach(grasp)  # m
-        rate = _RATE_FACTOR * np.asarray(hand.velocity_limit)  # rad/s
+        slides = np.array([joint.is_prismatic for joint in hand.joints])
+        margin = np.where(slides, _SLIDE_MARGIN, _POSITION_MARGIN)  # rad, m
+        rate = _RATE_FACTOR * np.asarray(hand.velocity_limit)  # rad/s, m/s
         free = np.full(9, math.inf)
         speed = np.repeat([OBJECT_SPEED, OBJECT_RATE], 3)
         # in the order of _stack: q, v, position, rotation and twist of the object
-        self._lower = np.concatenate([hand.q_lower - _POSITION_MARGIN, -rate, np.full(3, -reach), -free, -speed])
-        self._upper = np.concatenate([hand.q_upper + _POSITION_MARGIN, rate, np.full(3, reach), free, speed])
+        self._lower = np.concatenate([hand.q_lower - margin, -rate, np.full(3, -reach), -free, -speed])
+        self._upper = np.concatenate([hand.q_upper + margin, rate, np.full(3, reach), free, speed])
         position = math.inf if has_sensors else _JUMP_POSITION
-        parts = [(n, _JUMP_POSTURE), (n, math.inf), (3, position), (9, _JUMP_ROTATION), (6, math.inf)]
-        self._jump = np.concatenate([np.full(count, value) for count, value in parts])
-        rate = _JUMP_RATE_FACTOR * np.asarray(hand.velocity_limit)  # rad/s
+        parts = [(n, math.inf), (3, position), (9, _JUMP_ROTATION), (6, math.inf)]
+        posture = np.where(slides, _JUMP_SLIDE, _JUMP_POSTURE)  # rad, m
+        self._jump = np.concatenate([posture, *(np.full(count, value) for count, value in parts)])
+        self._units = tuple(joint.position_unit for joint in hand.joints)
+        rate = _JUMP_RATE_FACTOR * np.asarray(hand.velocity_limit)  # rad/s, m/s
         self._speed = np.concatenate([rate, np.zeros(n), np.full(3, _JUMP_SPEED), np.full(9, _JUMP_RATE), np.zeros(6)])
         self._n, self._validity = n, validity
         is_bounded = np.isfinite(self._upper)
@@ -137,9 +143,9 @@ class StateGuard:
         i, n = int(np.flatnonzero(wrong)[0]), self._n
         record = "state" if isinstance(state, GraspState) else "measurement"
         if i < n:
-            field, unit = f"{record}.posture[{i}]", "rad"
+            field, unit = f"{record}.posture[{i}]", self._units[i]
         elif i < 2 * n:
-            field, unit = f"{record}.velocity[{i - n}]", "rad/s"
+            field, unit = f"{record}.velocity[{i - n}]", f"{self._units[i - n]}/s"
         elif i < 2 * n + 3:
             field, unit = f"{record}.object.position[{i - 2 * n}]", "m"
         elif i < 2 * n + 12:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from graspforce.control import ControlMemory, ControlSettings, DesiredMotion, GraspState, desired_from_dict
 from graspforce.core import arrays, fields, records
 from graspforce.core.arrays import Array
+from graspforce.core.constants import LARGEST_MOTION
 from graspforce.core.errors import InvalidInput, UnknownName
 from graspforce.core.json_text import JsonRecord
 from graspforce.estimation.pose.pose_fusion import PoseOffset
@@ -219,12 +220,12 @@ def read_external(value: object) -> Array | None:
     """Return the external wrench of a record, (6,) N and N·m in O, or None.
 
     Args:
-        value: six numbers, or None.
+        value: six numbers of at most 1e6, or None.
 
     Raises:
-        InvalidInput: not six finite numbers.
+        InvalidInput: not six finite numbers, or too large ones.
     """
-    return None if value is None else arrays.check_array(value, "external", (6,))
+    return None if value is None else arrays.check_array(value, "external", (6,), limit=LARGEST_MOTION)
 
 
 def _read_settings(value: object) -> ControlSettings:

@@ -12,8 +12,10 @@ from graspforce.control.joints.force_loop import ForceGains
 from graspforce.control.joints.joint_command import JointMotion
 from graspforce.control.joints.joint_controller import JOINT_LAWS, JointController
 from graspforce.control.joints.joint_laws import PDGains, PIDGains, PIDMemory
+from graspforce.control.settings import check_period
 from graspforce.core import arrays, fields, records
 from graspforce.core.arrays import Array, freeze
+from graspforce.core.constants import LARGEST_MOTION
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
@@ -42,7 +44,7 @@ class JointStreamSetup:
 
     Args:
         controller: law, gains and gravity.
-        period: control period, s (default 0.001).
+        period: control period, s, from 1e-6 to 10 (default 0.001).
         validity: largest age of a good command, s, from when its state was sent (default 0.02).
         integral: (n,) integral of an earlier stream to continue from, N·m; None for a new start.
         authenticated: whether states and commands have authentication codes (`graspforce.service.wire.stream_authentication`).
@@ -58,8 +60,8 @@ class JointStreamSetup:
     authenticated: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("period", "validity"):
-            records.set_fields(self, **{name: arrays.check_number(getattr(self, name), name, above=0.0)})
+        validity = arrays.check_number(self.validity, "validity", above=0.0)
+        records.set_fields(self, period=check_period(self.period), validity=validity)
         if self.integral is not None:
             records.set_fields(self, integral=arrays.check_array(self.integral, "integral", (self.hand.n,)))
 
@@ -164,8 +166,8 @@ class JointState:
             required = ("posture", "velocity", "torque")
             measured = fields.check_record(values["measured"], "measured", required=required)
             desired = fields.check_record(values["desired"], "desired", required=["torque"])
-            torques["torque"] = arrays.check_array(measured.pop("torque"), "measured.torque", (n,))
-            torques["torque_desired"] = arrays.check_array(desired["torque"], "desired.torque", (n,))
+            torques["torque"] = arrays.check_array(measured.pop("torque"), "measured.torque", (n,), limit=LARGEST_MOTION)
+            torques["torque_desired"] = arrays.check_array(desired["torque"], "desired.torque", (n,), limit=LARGEST_MOTION)
         return cls(
             fields.check_integer(values["sequence"], "sequence", minimum=0, maximum=protocol.LARGEST_SEQUENCE),
             arrays.check_number(values["time"], "time"),
@@ -279,11 +281,11 @@ def _read_controller(hand: Hand, law: str, given: JsonRecord) -> JointController
 
 
 def _read_motion(record: object, field: str, n: int) -> JointMotion:
-    """Return a motion of n joints; `velocity` and `acceleration` may be absent."""
+    """Return a motion of n joints, numbers at most 1e6; `velocity` and `acceleration` may be absent."""
     values = fields.check_record(record, field, required=["posture"], optional=_MOTION[1:])
-    rows = [None if values.get(name) is None else arrays.check_array(values[name], f"{field}.{name}", (n,)) for name in _MOTION]
-    q = arrays.check_array(values["posture"], f"{field}.posture", (n,))
-    return JointMotion(q, rows[1], rows[2])
+    given = {name: value for name, value in values.items() if value is not None or name == "posture"}
+    rows = {name: arrays.check_array(value, f"{field}.{name}", (n,), limit=LARGEST_MOTION) for name, value in given.items()}
+    return JointMotion(rows["posture"], rows.get("velocity"), rows.get("acceleration"))
 
 
 def continued_memory(setup: JointStreamSetup, state: JointState) -> PIDMemory | None:

@@ -7,8 +7,9 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 import msgspec
+import numpy as np
 
-from graspforce.core.errors import BackendError, InvalidInput, ModelError, RequestRefused
+from graspforce.core.errors import BackendError, InvalidInput, ModelError, RequestRefused, UnknownField
 from graspforce.core.printable import escape_controls
 from graspforce.service.wire import protocol
 
@@ -64,7 +65,8 @@ def describe_error(
 ) -> tuple[str, str, str | None]:
     """Return the code, message and field of an exception's error record.
 
-    An unexpected exception is logged with its traceback; its message does not leave the server.
+    An unexpected exception is logged with its traceback; its message does not leave the server. Arithmetic that fails for the
+    numbers of a request is no fault of the server: the code is `invalid`. It is logged, too.
 
     Args:
         error: the exception.
@@ -72,7 +74,8 @@ def describe_error(
         request: `client` and `sequence` of the request, for the log.
     """
     if isinstance(error, InvalidInput):
-        return error.code, str(error), error.field or None
+        is_named = error.field or isinstance(error, UnknownField)  # the name of an unknown field may be empty
+        return error.code, str(error), error.field if is_named else None
     if isinstance(error, RequestRefused):
         return error.code, error.message, None
     if isinstance(error, MemoryError):
@@ -81,5 +84,10 @@ def describe_error(
         return "invalid", str(error), "backend"
     if isinstance(error, ModelError):
         return "internal", str(error), None
+    if isinstance(error, OverflowError | FloatingPointError | np.linalg.LinAlgError):
+        log.warning(
+            "too large or too small numbers in a request to %s", escape_controls(key), exc_info=error, extra=dict(request)
+        )
+        return "invalid", f"numbers in the request are too large or too small to compute with ({type(error).__name__})", None
     log.error("a request to %s failed", escape_controls(key), exc_info=error, extra=dict(request))
     return "internal", f"internal error ({type(error).__name__}); the server's log has the details", None

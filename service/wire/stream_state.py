@@ -24,6 +24,7 @@ from graspforce.control.contacts.contact_conditions import ContactConditions
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.compiled import native
+from graspforce.core.constants import LARGEST_DISTANCE
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import unchecked_constructor
@@ -207,10 +208,17 @@ def _decode_fast(payload: bytes, codec: str, hand: Hand) -> StreamState:
         found = native.read_stream_state(payload, hand.n)
         if found is not None:
             sequence, time, flags, numbers = found
+            _check_usual(numbers)
             binary, has_joints = bool(flags & native.STATE_BINARY), bool(flags & native.STATE_JOINTS)
             state, desired, wrench = _view_block(hand.n, has_joints, bool(flags & native.STATE_EXTERNAL), numbers)
             return StreamState(sequence, time, state, desired, wrench, None, binary)
     return _state_of(_STATE_DECODERS[codec].decode(payload), hand)
+
+
+def _check_usual(numbers: bytes) -> None:
+    """Raise ValueError if the numbers of a state may be out of range: then they are read and checked one by one."""
+    if np.abs(np.frombuffer(numbers)).max() > LARGEST_DISTANCE:  # the least of all bounds
+        raise ValueError("a number may be out of range")
 
 
 def _state_of(record: _StateRecord[Any, Any], hand: Hand) -> StreamState:
@@ -231,6 +239,7 @@ def _state_of(record: _StateRecord[Any, Any], hand: Hand) -> StreamState:
     numbers = join(parts, shapes, n)
     if numbers is None or not (math.isfinite(record.time) and 0 <= record.sequence <= protocol.LARGEST_SEQUENCE):
         raise ValueError("a number is not finite, or out of range")
+    _check_usual(numbers)
     state, desired, wrench = _view_block(n, has_joints, has_external, numbers)
     binary = type(measured.posture) is bytes
     if record.conditions is None and record.contacts is None:

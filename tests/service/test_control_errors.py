@@ -72,6 +72,53 @@ def test_invalid_states_get_the_message_of_python_and_the_stream_continues(path,
     assert stream.command(protocol.encode(stream_state().to_dict(), codec), codec).ok
 
 
+@CODECS
+@pytest.mark.parametrize(
+    ("conditions", "code", "field"),
+    [
+        ({"lost": ["finger_1", "nope"]}, "unknown", "conditions.lost[1]"),
+        ({"slipping": [True]}, "invalid", "conditions.slipping"),
+        ({"friction": [0.5] * 9}, "invalid", "conditions.friction"),
+    ],
+)
+def test_conditions_that_do_not_fit_the_contacts_are_named_with_their_path(conditions, code, field, codec):
+    bad = {**stream_state().to_dict(), "conditions": conditions}
+    reply = ServerStream("a", setup()).command(protocol.encode(bad, codec), codec)
+    record = protocol.decode(reply.payload, codec)
+    assert (record["error"], record["field"]) == (code, field)
+
+
+@CODECS
+def test_an_unknown_field_with_an_empty_name_is_named(codec):
+    for name, field in (("", ""), ("settings", "settings.")):
+        bad = {**request().to_dict(), name: {"": 1.0}}
+        record = protocol.decode(RequestHandler([HAND]).answer(CONTROL, protocol.encode(bad, codec), codec).payload, codec)
+        assert (record["error"], record["field"]) == ("invalid", field)
+
+
+def test_large_numbers_within_their_range_get_a_command():
+    """Numbers above the least of all bounds are read one by one: 2000 rad/s² are above it, and within their own."""
+    given = with_change(stream_state().to_dict(), ("desired", "acceleration", 0), 2e3)
+    for payload, codec in ((protocol.encode(given, JSON), JSON), (StreamState.from_dict(HAND, given).encode(MSGPACK), MSGPACK)):
+        assert ServerStream("a", setup()).command(payload, codec).ok
+
+
+@CODECS
+@pytest.mark.parametrize(
+    "error", [OverflowError("math range error"), FloatingPointError(), np.linalg.LinAlgError("Singular matrix")]
+)
+def test_arithmetic_that_fails_for_the_numbers_of_a_request_is_invalid(error, codec, monkeypatch, caplog):
+    def fail(*args):
+        raise error
+
+    monkeypatch.setattr("graspforce.service.server.request_handler.answer_control_request", fail)
+    reply = RequestHandler([HAND]).answer(CONTROL, protocol.encode(request().to_dict(), codec), codec)
+    record = protocol.decode(reply.payload, codec)
+    assert (reply.ok, record["error"]) == (False, "invalid")
+    assert "too large or too small" in record["message"]
+    assert caplog.records[-1].exc_info[1] is error
+
+
 @pytest.mark.parametrize("record", [{}, {"close": False}, {"close": True, "hand": 1}, [1], None, 3.5])
 def test_record_that_neither_opens_nor_closes_is_invalid_input(record):
     reply = RequestHandler([HAND]).answer("streams/a", protocol.encode(record, MSGPACK), MSGPACK)

@@ -13,7 +13,7 @@ from graspforce.control.contacts.contact_conditions import ContactConditions
 from graspforce.control.friction.friction_compensation import FrictionSettings
 from graspforce.core.errors import UnknownName
 from graspforce.estimation import CameraModel, Measurement, PoseMeasurement, SensorModel
-from graspforce.service import Client, Server, StreamSetup, StreamState
+from graspforce.service import Client, RequestHandler, Server, StreamSetup, StreamState
 from graspforce.service.client.stream_changes import resumed_setup
 from graspforce.service.server.server_stream import ServerStream
 from graspforce.service.wire import protocol
@@ -165,3 +165,16 @@ def test_client_streams_measurements():
             assert command.warnings[0].startswith(f"{GRASP.fingers[0]} has lost its drive: ")
             with pytest.raises(UnknownName, match="pinky"):
                 stream.step(measurement(11), desired(), lost=["pinky"])
+
+
+@CODECS
+def test_a_latency_is_at_most_a_thousand_periods(codec):
+    """The joint filter has a command for each period of latency: without a bound, a setup could fill the server's memory."""
+    handler = RequestHandler([HAND])
+    for name, latency, ok in (("a", 1e-3, True), ("b", 1.01e-3, False)):
+        setup = StreamSetup(GRASP, ControlSettings(period=1e-6), sensors=SensorModel(latency=latency))
+        reply = handler.answer(f"streams/{name}", protocol.encode(setup.to_dict(), codec), codec)
+        record = protocol.decode(reply.payload, codec)
+        assert reply.ok == ok, record
+    assert (record["error"], record["field"]) == ("invalid", "sensors.latency")
+    assert "must be at most 1000 periods, 0.001 s" in record["message"]

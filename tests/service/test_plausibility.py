@@ -11,9 +11,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from support.control_requests import GRASP, HAND, desired, setup
 
+import graspforce as gf
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import GraspState
 from graspforce.core.errors import InvalidInput
+from graspforce.geometry import Box
+from graspforce.grasp import find_grasp
+from graspforce.grasp.body import Body
 from graspforce.service import StreamState
 from graspforce.service.client.watchdog import CommandMonitor, Watchdog
 from graspforce.service.server.plausibility import Implausible, StateGuard, reach_of
@@ -82,6 +86,34 @@ def refusal(guard, state, t):
     except Implausible as error:
         return error
     return None
+
+
+@pytest.mark.parametrize(
+    ("joint", "position", "message"),
+    [
+        (1e-3 * 45.5, None, "plausible: from -0.005 to 0.045 m"),
+        (1e-3 * -5.5, None, "plausible: from -0.005 to 0.045 m"),
+        (1e-3 * 18.0, 1e-3 * 15.0, "closer to the last one, 0.015 m: a jump"),
+    ],
+)
+def test_positions_of_sliding_joints_have_margins_in_metres(joint, position, message):
+    """The jaws open by 40 mm: margins of turning joints, 0.1 and 0.05 read as metres, would accept any position."""
+    jaws = find_grasp(gf.Hand.load("parallel_jaws"), Body.solid(Box([0.03, 0.03, 0.03]), 0.05), friction=0.7)
+    guard = StateGuard(jaws, VALIDITY)
+
+    def state(q, v=0.0):
+        return GraspState([q], [v], BodyMotion(jaws.p_HO, jaws.R_HO))
+
+    if position is not None:
+        guard.check(state(position), 0.0, 0.0)
+        guard.check(state(position + 2e-3), PERIOD, PERIOD)
+        guard.check(state(position), 2 * PERIOD, 2 * PERIOD)
+    with pytest.raises(Implausible) as caught:
+        guard.check(state(joint), 2 * PERIOD, 2 * PERIOD)
+    assert (caught.value.field, caught.value.allowed) == ("state.posture[0]", message)
+    with pytest.raises(Implausible, match="m/s") as caught:
+        StateGuard(jaws, VALIDITY).check(state(0.015, 1.0), 0.0, 0.0)
+    assert caught.value.field == "state.velocity[0]"
 
 
 def test_single_glitch_is_refused_and_the_next_state_accepted():

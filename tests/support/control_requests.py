@@ -125,8 +125,26 @@ COMMAND_FIELDS = (
 NAN = float("nan")
 NOT_A_ROTATION = (2.0 * np.eye(3)).tolist()
 
+_FLAT = [[1e-320, 0.0, 0.0], [0.0, 1e-4, 0.0], [0.0, 0.0, 1e-4]]  # kg·m²
+
 # (path, value, field of the error, begin of what is allowed)
 BAD_GRASP = [
+    *((("hold", "body", "mass"), value, "hold.body.mass", "at least 1e-09 and at most 1e+06") for value in (1e308, 1e-320)),
+    *((("hold", "body", "inertia"), (s * np.eye(3)).tolist(), "hold.body.inertia", "of principal") for s in (1e-320, 1e-21)),
+    (("hold", "body", "inertia"), _FLAT, "hold.body.inertia", "of principal moments"),
+    (("hold", "body", "inertia", 0, 0), 1e308, "hold.body.inertia[0][0]", "from -1e+09 to 1e+09"),
+    (("hold", "body", "centre_of_mass", 2), 1e308, "hold.body.centre_of_mass[2]", "from -1000 to 1000"),
+    (("hold", "body"), {"mass": 0.1, "shape": {"type": "sphere", "radius": 1e308}}, "hold.body.shape", "of a size"),
+    (("hold", "body"), {"mass": 0.1, "shape": {"type": "sphere", "radius": 1e-50}}, "hold.body.shape", "of a size"),
+    (("hold", "body", "shape"), {"type": "sphere", "radius": 1e18}, "hold.body.shape", "of a size"),
+    (("hold", "contacts", 1, "position", 0), 1e18, "hold.contacts[1].position[0]", "from -1000 to 1000"),
+    *((("hold", "object", "position", 1), s * 1e308, "hold.object.position[1]", "from -1000 to 1000") for s in (1.0, -1.0)),
+    (("hold", "posture", 3), 1e308, "hold.posture[3]", "from -1e+06 to 1e+06"),
+    (("settings", "gravity", 2), -1e308, "settings.gravity[2]", "from -1e+06 to 1e+06"),
+    (("settings", "gains", "kd_linear"), 1e308, "settings.gains.kd_linear", "at least 0 and at most 1e+12"),
+    (("settings", "posture_damping"), 1e308, "settings.posture_damping", "at least 0 and at most 1e+06"),
+    (("settings", "reflex_time"), 1e308, "settings.reflex_time", "greater than 0 and at most 1e+06"),
+    (("memory", "integral", 0), 1e308, "memory.integral[0]", "from -1e+06 to 1e+06"),
     (("hold",), ..., "hold", "given"),
     (("hold", "body", "mass"), 0.0, "hold.body.mass", "greater than 0"),
     (("hold", "body", "shape", "type"), "torus", "hold.body.shape.type", "one of sphere, cylinder, box, superquadric, mesh"),
@@ -137,6 +155,8 @@ BAD_GRASP = [
     (("settings", "gravity"), [0.0], "settings.gravity", "a list of 3 numbers, not 1"),
     (("settings", "gravity", 1), NAN, "settings.gravity[1]", "a finite number"),
     (("settings", "period"), 0.0, "settings.period", "greater than 0"),
+    (("settings", "period"), 1e18, "settings.period", "at least 1e-06 and at most 10"),
+    (("settings", "period"), 1e-320, "settings.period", "at least 1e-06 and at most 10"),
     (("settings", "gains", "kp_linear"), "high", "settings.gains.kp_linear", "a finite number, at least 0"),
     (("settings", "gains", "ki_linear"), 1e9, "settings.gains.ki_linear", "less than kp_linear·kd_linear"),
     (("settings", "gains"), 3.0, "settings.gains", "a record"),
@@ -149,6 +169,17 @@ BAD_GRASP = [
     (("memory", "force"), [1.0], "memory.force", "a list of 12 numbers, not 1"),
 ]
 BAD_STATE = [
+    (("state", "posture", 1), 1e308, "state.posture[1]", "from -1e+06 to 1e+06"),
+    (("state", "velocity", 2), -1e7, "state.velocity[2]", "from -1e+06 to 1e+06"),
+    (("state", "object", "position", 2), -1e308, "state.object.position[2]", "from -1000 to 1000"),
+    (("state", "object", "twist", 5), 1e308, "state.object.twist[5]", "from -1e+06 to 1e+06"),
+    (("desired", "position", 0), 1001.0, "desired.position[0]", "from -1000 to 1000"),
+    (("desired", "twist", 3), 1e308, "desired.twist[3]", "from -1e+06 to 1e+06"),
+    (("desired", "acceleration", 0), -1e308, "desired.acceleration[0]", "from -1e+06 to 1e+06"),
+    (("desired", "joints", "posture", 0), 1e308, "desired.joints.posture[0]", "from -1e+06 to 1e+06"),
+    (("desired", "joints", "velocity", 0), 1e308, "desired.joints.velocity[0]", "from -1e+06 to 1e+06"),
+    (("desired", "joints", "acceleration", 0), 1e308, "desired.joints.acceleration[0]", "from -1e+06 to 1e+06"),
+    (("external", 4), 1e308, "external[4]", "from -1e+06 to 1e+06"),
     (("state",), ..., "state", "given"),
     (("state", "posture"), [0.1] * 13, "state.posture", "a list of 12 numbers, not 13"),
     (("state", "posture", 4), NAN, "state.posture[4]", "a finite number"),
@@ -170,8 +201,21 @@ BAD_STATE = [
     (("external",), [0.0] * 7, "external", "a list of 6 numbers, not 7"),
     (("wrench",), [0.0] * 6, "wrench", "absent: the known fields are"),
 ]
+_NOISES = ("encoder_noise", "encoder_resolution", "velocity_noise", "torque_noise", "current_noise", "tip_force_noise")
+_POSE_NOISES = ("position_noise", "angle_noise", "position_bias", "angle_bias")
+BAD_SENSORS = [
+    *((("sensors",), {"latency": value}, "sensors.latency", "at least 0 and at most 1") for value in (1e3, 1e308)),
+    *((("sensors",), {"rate": value}, "sensors.rate", "at least 0.1 and at most 1e+06") for value in (1e-320, 1e308)),
+    *((("sensors",), {name: 1e308}, f"sensors.{name}", "at least 0 and at most 1000") for name in _NOISES),
+    *((("sensors",), {"camera": {name: 1e308}}, f"sensors.camera.{name}", "at least") for name in _POSE_NOISES),
+    (("sensors",), {"camera": {"position_noise": 1e-320}}, "sensors.camera.position_noise", "at least 1e-15"),
+    (("sensors",), {"camera": {"rate": 1e-320}}, "sensors.camera.rate", "at least 0.001 and at most 1e+06"),
+    (("sensors",), {"camera": {"latency": 1e4}}, "sensors.camera.latency", "at least 0 and at most 1"),
+    (("sensors",), {"encoder_noise": True}, "sensors.encoder_noise", "a finite number"),
+]
 BAD_SETUP = [
     *BAD_GRASP,
+    *BAD_SENSORS,
     (("hand",), "left", "hand", "one of four_finger"),
     (("hand",), 3, "hand", "text"),
     (("validity",), 0.0, "validity", "greater than 0"),

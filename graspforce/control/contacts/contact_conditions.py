@@ -77,9 +77,9 @@ class ContactConditions:
             value = getattr(self, name)
             if value is not None and len(value) != count:
                 raise InvalidInput(name, value, f"a list of {count}, one for each contact")
-        for finger in self.lost:
+        for i, finger in enumerate(self.lost):
             if finger not in grasp.fingers:
-                raise UnknownName("lost", finger, grasp.fingers)
+                raise UnknownName(f"lost[{i}]", finger, grasp.fingers)
 
     def for_grasp(self, grasp: Grasp, fingers: Sequence[str]) -> ContactConditions:
         """Return the conditions of the contacts of a grasp, from conditions in the order of other fingers.

@@ -121,7 +121,7 @@ class FingerServo:
         largest_rate: float,
         rest_band: float | Array,
     ) -> None:
-        sensors = replace(sensors, latency=sensors.latency + hand.drives.delay)
+        sensors = sensors.with_delay(hand.drives.delay)
         self.hand, self.period = hand, 1.0 / sensors.rate
         self._rest_band = rest_band
         self._gravity, self._tips = gravity_H, [hand.frame_id(name) for name in fingers]

@@ -66,6 +66,9 @@ class JointFilter:
         period: time between two measurements, s.
         acceleration_limits: (n,) largest accelerations that the motors can cause, rad/s². Larger commands are cut off: the
             joints cannot follow them. Default: no limits.
+
+    Raises:
+        InvalidInput: the latency is longer than 1000 periods.
     """
 
     def __init__(
@@ -78,7 +81,7 @@ class JointFilter:
     ) -> None:
         self._n, self._period = n, period
         self._limits = np.full(n, np.inf) if acceleration_limits is None else acceleration_limits
-        self.delay = round(sensors.latency / period)  # in periods
+        self.delay = sensors.latency_periods(period)
         self._settings, self._sensors = settings, sensors
         self._F = np.array([[1.0, period, 0.5 * period**2], [0.0, 1.0, period], [0.0, 0.0, 1.0]])
         self._g = np.array([0.5 * period**2, period, 0.0])  # response to the command
