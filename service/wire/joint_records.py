@@ -15,7 +15,6 @@ from graspforce.control.joints.joint_laws import PDGains, PIDGains, PIDMemory
 from graspforce.control.settings import check_period
 from graspforce.core import arrays, fields, records
 from graspforce.core.arrays import Array, freeze
-from graspforce.core.constants import LARGEST_MOTION
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
@@ -166,8 +165,8 @@ class JointState:
             required = ("posture", "velocity", "torque")
             measured = fields.check_record(values["measured"], "measured", required=required)
             desired = fields.check_record(values["desired"], "desired", required=["torque"])
-            torques["torque"] = arrays.check_array(measured.pop("torque"), "measured.torque", (n,), limit=LARGEST_MOTION)
-            torques["torque_desired"] = arrays.check_array(desired["torque"], "desired.torque", (n,), limit=LARGEST_MOTION)
+            torques["torque"] = arrays.check_array(measured.pop("torque"), "measured.torque", (n,))
+            torques["torque_desired"] = arrays.check_array(desired["torque"], "desired.torque", (n,))
         return cls(
             fields.check_integer(values["sequence"], "sequence", minimum=0, maximum=protocol.LARGEST_SEQUENCE),
             arrays.check_number(values["time"], "time"),
@@ -281,11 +280,11 @@ def _read_controller(hand: Hand, law: str, given: JsonRecord) -> JointController
 
 
 def _read_motion(record: object, field: str, n: int) -> JointMotion:
-    """Return a motion of n joints, numbers at most 1e6; `velocity` and `acceleration` may be absent."""
+    """Return a motion of n joints; `velocity` and `acceleration` may be absent."""
     values = fields.check_record(record, field, required=["posture"], optional=_MOTION[1:])
-    given = {name: value for name, value in values.items() if value is not None or name == "posture"}
-    rows = {name: arrays.check_array(value, f"{field}.{name}", (n,), limit=LARGEST_MOTION) for name, value in given.items()}
-    return JointMotion(rows["posture"], rows.get("velocity"), rows.get("acceleration"))
+    rows = [None if values.get(name) is None else arrays.check_array(values[name], f"{field}.{name}", (n,)) for name in _MOTION]
+    q = arrays.check_array(values["posture"], f"{field}.posture", (n,))
+    return JointMotion(q, rows[1], rows[2])
 
 
 def continued_memory(setup: JointStreamSetup, state: JointState) -> PIDMemory | None:
