@@ -75,7 +75,7 @@ def test_joints_are_near_their_range(joint, share):
 def test_a_refused_motion_leaves_no_trace(codec):
     """The commands after it are those of a stream that never got it."""
     state = GraspState(GRASP.q, np.zeros(HAND.n), STILL)
-    absurd = GraspMotion(STILL, GRASP.q + 1e6, np.zeros(HAND.n), np.zeros(HAND.n))
+    absurd = GraspMotion(STILL, GRASP.q + 100.0, np.zeros(HAND.n), np.zeros(HAND.n))
     streams = [ServerStream(name, StreamSetup(GRASP)) for name in ("a", "b")]
     for i in range(20):
         if i == 5:
