@@ -2,12 +2,14 @@
 
 While a process is frozen, another replica opens its streams. When it wakes, its clock shows the interruption before it answers
 any state. It then closes all streams without a message, and their commands in progress are not sent. The epoch of a stream
-(`graspforce.service.server.server_stream`) covers the microseconds between the check and the message.
+(`graspforce.service.server.server_stream`) covers the microseconds between the check and the message. Requests to open streams
+that were sent meanwhile get no answer: their clients have gone to another replica.
 """
 
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -15,6 +17,7 @@ from collections.abc import Callable
 log = logging.getLogger("graspforce.service")
 
 _RENEWALS = 5  # of a lease, while the process runs
+_WAKING_TIME = 0.1  # s, in which the messages of an interruption arrive
 
 
 class ProcessLease:
@@ -29,6 +32,7 @@ class ProcessLease:
     def __init__(self, seconds: float | None, on_lost: Callable[[], None], clock: Callable[[], float] = time.monotonic) -> None:
         self._seconds, self._on_lost, self._clock = seconds, on_lost, clock
         self._renewed = clock()
+        self._woken = -math.inf  # end of the last interruption, s
         self._closed = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -36,6 +40,11 @@ class ProcessLease:
     def holds(self) -> bool:
         """Whether the lease has not ended since its last renewal."""
         return self._seconds is None or self._clock() - self._renewed <= self._seconds
+
+    @property
+    def is_waking(self) -> bool:
+        """Whether an interruption has just ended, so that messages of this time may arrive."""
+        return not self.holds or self._clock() - self._woken < _WAKING_TIME
 
     def start(self) -> None:
         """Renew the lease from now on, in a thread."""
@@ -50,6 +59,8 @@ class ProcessLease:
         if not self.holds:
             log.warning("the process did not run for %.3f s: its streams are given up", self._clock() - self._renewed)
             self._on_lost()
+            self._renewed = self._woken = self._clock()
+            return
         self._renewed = self._clock()
 
     def close(self) -> None:

@@ -34,10 +34,18 @@ class QueryIntake:
         sessions: the clients.
         limits: limits on requests.
         keys: served keys after the prefix, without those of streams and schemas.
+        is_waking: whether queries may be old, because the process was frozen; those for streams then get no answer.
     """
 
-    def __init__(self, queues: WorkQueues, sessions: ClientSessions, limits: ServerLimits, keys: Sequence[str]) -> None:
-        self._queues, self._sessions, self._limits = queues, sessions, limits
+    def __init__(
+        self,
+        queues: WorkQueues,
+        sessions: ClientSessions,
+        limits: ServerLimits,
+        keys: Sequence[str],
+        is_waking: Callable[[], bool],
+    ) -> None:
+        self._queues, self._sessions, self._limits, self._is_waking = queues, sessions, limits, is_waking
         self._keys = tuple(keys)
         self._full_keys = frozenset(f"{protocol.PREFIX}/{key}" for key in self._keys)
         known = (*self._keys, f"{SCHEMA}/**", *_STREAM_KEYS)
@@ -101,7 +109,7 @@ class QueryIntake:
     def _receive_stream_request(self, query: zenoh.Query) -> None:
         """Put a query that opens or closes a stream, or asks for its setup, into its queue."""
         key = str(query.key_expr).removeprefix(f"{protocol.PREFIX}/")
-        if "*" not in key:
+        if "*" not in key and not self._is_waking():
             self.receive(key, query)
 
     def _receive_schema_query(self, query: zenoh.Query) -> None:

@@ -187,7 +187,8 @@ class Server:
             self._workers = self._queue_options.start_workers(self._hands, self._limits)
         self._lease.start()
         self._queues = WorkQueues(self._queue_options, self._answer, self._handle_plan, self._refuse_overload)
-        self._intake = QueryIntake(self._queues, self._sessions, self._limits, (*self._handler.keys, *self._handler.plan_keys))
+        keys, is_waking = (*self._handler.keys, *self._handler.plan_keys), lambda: self._lease.is_waking
+        self._intake = QueryIntake(self._queues, self._sessions, self._limits, keys, is_waking)
         self._declared = self._intake.declare(session)
         self._closing.clear()
         listener = Callback(self._receive_transport, indirect=False)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import signal
+import time
 from itertools import pairwise
 
+import msgspec
 import pytest
 from support.control_requests import setup
-from support.servers import wait_until
+from support.servers import TIMEOUT, get, plain_session, python_process, wait_until
 
 from benchmarks import replicas
 from graspforce.core.errors import InvalidInput, RequestRefused
@@ -78,6 +82,41 @@ def test_lease_holds_no_state_until_the_streams_are_given_up():
     assert clock is not None
     lease.renew()
     assert held == [False]
+
+
+def test_a_process_is_waking_from_the_end_of_its_lease_until_a_tenth_of_a_second_after_the_renewal():
+    lease, clock, _ = make_lease(0.5)
+    for clock[0], expected in ((0.4, False), (1.5, True)):
+        assert lease.is_waking is expected
+    lease.renew()
+    for clock[0], expected in ((1.55, True), (1.65, False)):
+        assert lease.is_waking is expected
+
+
+_REPLICA = """
+import sys, time
+from graspforce.service import Server
+server = Server(sys.argv[1:], listen="tcp/127.0.0.1:0", lease=20.0)
+server._lease._seconds = 0.3  # shorter than that of its connections, as behind a router
+with server:
+    print(server.addresses[0], flush=True)
+    time.sleep(60.0)
+"""
+
+
+def test_a_thawed_process_opens_no_streams_of_the_time_when_it_was_frozen():
+    record = json.dumps(msgspec.to_builtins(setup().to_dict()))
+    with python_process(_REPLICA, "four_finger") as (process, address), plain_session(address) as session:
+        wait_until(lambda: get(session, "status", "{}"))
+        process.send_signal(signal.SIGSTOP)
+        time.sleep(0.1)  # until all threads have stopped
+        asked = session.get("graspforce/1/streams/frozen", payload=record, timeout=TIMEOUT)
+        time.sleep(1.0)  # longer than the lease
+        process.send_signal(signal.SIGCONT)
+        assert [reply for reply in asked if reply.ok is not None] == []
+        wait_until(lambda: any(ok for ok, _, _ in get(session, "streams/later", record)))
+        [(_, _, status)] = get(session, "status", "{}")
+        assert [each["id"] for each in json.loads(status)["active_streams"]] == ["later"]
 
 
 def test_lease_without_duration_never_ends():
