@@ -21,6 +21,7 @@ from graspforce.control.contacts.contact_conditions import ContactConditions
 from graspforce.control.forces.margin_solver import MarginSolver
 from graspforce.control.memory import ControlMemory
 from graspforce.control.object_control_law import ObjectControlLaw
+from graspforce.control.pose_error import limit_integral
 from graspforce.control.settings import ControlSettings
 from graspforce.control.state import DesiredMotion, GraspState, check_joint_count, object_motion
 from graspforce.core import arrays
@@ -63,7 +64,7 @@ class CompiledControlLaw(ObjectControlLaw):
         """Whether the C code computes usual steps of this grasp with these settings."""
         if native is None or self._compiled is None or preferred_backend().name != _BACKEND:
             return False
-        has_estimates = self._friction is not None or self._learning.is_active or self._constraints.is_tracking_spin
+        has_estimates = self._friction is not None or self._constraints.is_tracking_spin
         return not has_estimates and self.force_solver.has_plain_problem
 
     def step(
@@ -89,10 +90,13 @@ class CompiledControlLaw(ObjectControlLaw):
         self, memory: ControlMemory, state: GraspState, desired: DesiredMotion, external: npt.ArrayLike | None
     ) -> tuple[Command, ControlMemory] | None:
         """Return command and memory of a step in C; None if it finds no certified forces with the full margin."""
-        compiled, tips, measured, body = self._compiled, memory.tip_contacts, state.object, object_motion(desired)
+        compiled, tips, measured, told = self._compiled, memory.tip_contacts, state.object, desired
         if compiled is None:
             return None
         check_joint_count(self.grasp.hand, state.q, desired)
+        if memory.torque_factors is not None:
+            desired = memory.torque_factors.shift(desired, self.grasp.q)
+        body = object_motion(desired)
         if external is not None:
             external = arrays.check_array(external, "external", (6,))
         blocks = compiled.new_targets(), new_block(self._forces_dtype), compiled.new_result()
@@ -116,11 +120,17 @@ class CompiledControlLaw(ObjectControlLaw):
         if result.has_warnings:
             warnings += self._warnings.of_contacts(result.creep_distance, targets.rolling.gap, None)
             warnings += self._warnings.of_joints(state.q)
+        integral, factors, sensitivity = result.integral, None, None
+        if self._learning.is_active:
+            made = memory.torque_factors, self.grasp, state, told, targets, result
+            factors, integral, sensitivity = self._learning.step(*made)
+            integral = limit_integral(integral, self._gains[2], self._integral_limits)
         data = StepForces(self.force_solver, targets, forces)
         solution = make_record(LazySolution, _SOLUTION_FIELDS, _BACKEND, iterations, seconds, data)
         own = self.grasp, self._constraints, targets, state, body.twist, self._drives, forces["own"], self._clearance
-        command = make_lazy_command(CommandSource(*own), result, solution, f, tuple(warnings), False)
-        return command, ControlMemory(result.integral, targets.R_OC, result.creep, f, targets.tip_contacts)
+        command = make_lazy_command(CommandSource(*own, sensitivity), result, solution, f, tuple(warnings), False)
+        parts = integral, targets.R_OC, result.creep, f, targets.tip_contacts
+        return command, ControlMemory(*parts, torque_factors=factors)
 
 
 class StepForces:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -18,12 +18,15 @@ from graspforce.control.object_control_law import ObjectControlLaw
 from graspforce.core.errors import InvalidInput
 from graspforce.force.certificate import certify
 from graspforce.grasp.grasp import Grasp
+from graspforce.hand.drives.drive import Drive
 
 pytest.importorskip("graspforce.core._native", reason="the C code was not built: no C compiler at installation")
 # Both solve to 1e-9 relative to the size of the problem, where forces are about 1 N. After a step of the reference their warm
 # starts differ, and so do two optima that are not unique: by the square root of the tolerance.
 FORCES, TORQUES = 1e-4, 1e-6  # N and N·m
 COUNT = 60  # steps
+CURRENT_DRIVE = Drive("current", torque_constant=1.0, torque_error=0.1)
+POSITION_DRIVE = Drive("position", stiffness=20.0, damping=0.1, stiffness_error=0.1, torque_error=0.1)
 
 
 def moving_states(grasp: Grasp, seed: int) -> list[tuple[GraspState, BodyMotion | GraspMotion, np.ndarray | None]]:
@@ -54,12 +57,25 @@ def count_whole_steps(law: CompiledControlLaw, monkeypatch: pytest.MonkeyPatch) 
 
 
 def assert_equal_memories(found: ControlMemory, expected: ControlMemory) -> None:
+    if expected.torque_factors is None:
+        assert found.torque_factors is None
+    else:
+        assert found.torque_factors is not None
+        for name, values in expected.torque_factors.to_dict().items():
+            np.testing.assert_allclose(found.torque_factors.to_dict()[name], values, rtol=1e-9, atol=1e-11, err_msg=name)
     for name in ("integral", "R_OC", "creep"):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=0.0, atol=1e-11, err_msg=name)
     for each in fields(TipContactState):
         one, other = (getattr(memory.tip_contacts, each.name) for memory in (found, expected))
         np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-12, err_msg=each.name)
-    others = {each.name for each in fields(ControlMemory)} - {"integral", "R_OC", "creep", "f", "tip_contacts"}
+    others = {each.name for each in fields(ControlMemory)} - {
+        "integral",
+        "R_OC",
+        "creep",
+        "f",
+        "tip_contacts",
+        "torque_factors",
+    }
     assert {name for name in others if getattr(found, name) is not None} == set()
 
 
@@ -89,6 +105,28 @@ def test_whole_steps_equal_the_reference(name: str, monkeypatch: pytest.MonkeyPa
             assert_equal_memories(after, memory)
         usual += not (expected.warnings or expected.uncontrollable.size or expected.forces_reused)
     assert law._whole_step is None or sum(taken) >= usual
+
+
+@pytest.mark.parametrize("name", ["allegro_right sphere", "dlr_hit2 sphere", "four_finger box"])
+@pytest.mark.parametrize("drive", [CURRENT_DRIVE, POSITION_DRIVE], ids=["current", "position"])
+def test_whole_steps_of_drives_with_errors_equal_the_reference(
+    name: str, drive: Drive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The errors of the drives are estimated, and shift the desired motion of the next step."""
+    grasp, settings = named_grasp(name), ControlSettings()
+    grasp = replace(grasp, hand=grasp.hand.with_drives(drive))
+    law, reference = CompiledControlLaw(grasp, settings), ObjectControlLaw(grasp, settings)
+    assert reference._learning.is_active
+    taken = count_whole_steps(law, monkeypatch)
+    found_memory = memory = reference.initial_memory()
+    for arguments in moving_states(grasp, seed=11):
+        found, found_memory = law.step(found_memory, *arguments)
+        expected, memory = reference.step(memory, *arguments)
+        np.testing.assert_allclose(found.tau, expected.tau, rtol=0.0, atol=TORQUES)
+        np.testing.assert_allclose(found.guaranteed_margin, expected.guaranteed_margin, rtol=0.0, atol=FORCES)
+        assert_equal_memories(found_memory, memory)
+    assert memory.torque_factors is not None
+    assert sum(taken) > 0
 
 
 def test_most_named_grasps_have_whole_steps() -> None:
