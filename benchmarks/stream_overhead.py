@@ -177,7 +177,7 @@ def measure(subject: Subject, rounds: int) -> tuple[str, ...]:
 def _show(rows: list[tuple[str, ...]], rounds: int, save: Path | None) -> None:
     """Print the table and write the page."""
     counts = f"{rounds * (BURST - WARM_UP)} states per figure"
-    report_page.publish("Server time of a control stream without Zenoh", __doc__, HEAD, rows, save, counts, width=140)
+    report_page.publish("Server time of a control stream without Zenoh", __doc__, HEAD, rows, save, counts, width=180)
 
 
 def main() -> None:

@@ -27,7 +27,7 @@ from graspforce.control.settings import ControlSettings
 from graspforce.control.state import DesiredMotion, GraspState, check_joint_count, object_motion
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
-from graspforce.core.compiled import Block, native, new_block
+from graspforce.core.compiled import Block, new_block, whole_step
 from graspforce.force.backends.compiled_kernel import make_record
 from graspforce.force.backends.registry import preferred_backend
 from graspforce.force.certificate import Certificate
@@ -63,7 +63,7 @@ class CompiledControlLaw(ObjectControlLaw):
     @property
     def _is_supported(self) -> bool:
         """Whether the C code computes usual steps of this grasp with these settings."""
-        if native is None or self._compiled is None or preferred_backend().name != _BACKEND:
+        if whole_step is None or self._compiled is None or preferred_backend().name != _BACKEND:
             return False
         has_estimates = self._friction is not None or self._constraints.is_tracking_spin
         return not has_estimates and self.force_solver.has_plain_problem
@@ -183,7 +183,7 @@ def _make_whole_step(law: CompiledControlLaw) -> Any:
     assert compiled is not None  # checked by `_is_supported`
     components = np.bincount(grasp.contacts.columns // 4).astype(np.intc)
     numbers = hand.T, hand.q0, hand.rotor_inertia, hand.force_weight, law.free_torque_limits
-    return native.WholeStep(
+    return whole_step.WholeStep(
         *(compiled.step, components, solver.margin, law.settings.force_weight, _link_rows(hand)),
         *(np.array(each, dtype=float) for each in (*numbers, *limits.friction, limits.normal)),
     )

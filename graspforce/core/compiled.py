@@ -15,6 +15,9 @@ import numpy.typing as npt
 
 Block = npt.NDArray[np.void]  # one record of named arrays, which the C code writes
 
+whole_step: Any = None  # the module graspforce.core._whole_step, whole control steps with their force problem
+with contextlib.suppress(ImportError):
+    whole_step = importlib.import_module("graspforce.core._whole_step")
 native: Any = None
 with contextlib.suppress(ImportError):  # built without a C compiler
     native = importlib.import_module("graspforce.core._native")

@@ -1,6 +1,6 @@
 /* The Python module graspforce.core._native: contact kinematics, contact poses and their fusion with measured poses,
  * contact forces, slip, precautions, friction, payload, a filter of joints, motions of bodies, joint accelerations, joint friction, messages of control
- * streams and their authentication, and the types ControlStep, WholeStep and MessageCode.
+ * streams and their authentication, and the types ControlStep and MessageCode.
  *
  * Functions take keyword arguments: float64 arrays, and the arrays that they write. Those of control streams, which must be quickest,
  * take positional ones. The module keeps no state. */
@@ -20,7 +20,6 @@
 #include "stream_command_reader.inc"
 #include "stream_state_function.inc"
 #include "stream_state_writer.inc"
-#include "whole_step_type.inc"
 
 /* Copy row i of an array. */
 static void gf_read_vector(const Py_buffer *view, Py_ssize_t i, gf_vector3 x)
@@ -294,7 +293,6 @@ static PyMethodDef functions[] = {
     {NULL, NULL, 0, NULL},
 };
 static PyModuleDef_Slot slots[] = {{Py_mod_exec, (void *)gf_py_add_step_type},
-                                   {Py_mod_exec, (void *)gf_py_add_whole_step},
                                    {Py_mod_exec, (void *)gf_py_add_state_flags},
                                    {Py_mod_exec, (void *)gf_py_add_message_code},
                                    {0, NULL}};

@@ -1,14 +1,13 @@
-/* The Python type WholeStep: the whole step of the object controller (controller.h) where its forces keep the slip margin of the
- * settings.
+/* The Python module graspforce.core._whole_step with the type WholeStep: the whole step of the object controller (controller.h),
+ * where its forces keep the slip margin of the settings.
  *
  * It makes no decisions: where no such forces are certified, it returns None, and the caller steps in Python. The memory between
  * two steps belongs to the caller, except for the start of the force solver. */
-#ifndef GF_WHOLE_STEP_TYPE_INC
-#define GF_WHOLE_STEP_TYPE_INC
-
 #include "../controller/controller.c"
 #include "../controller/hand_model.c"
-#include "control_step_type.inc"
+#include "control_step_object.inc"
+
+static const char CONTROL_STEP_NAME[] = "graspforce.core._native.ControlStep";
 
 typedef struct {
     PyObject_HEAD
@@ -194,7 +193,7 @@ static PyObject *gf_py_whole_step_new(PyTypeObject *type, PyObject *args, PyObje
                           &values[0], &values[1], &values[2], &values[3], &values[4], &values[5], &values[6], &values[7],
                           &values[8]))
         return NULL;
-    if (strcmp(Py_TYPE(step)->tp_name, control_step_spec.name) != 0) {
+    if (strcmp(Py_TYPE(step)->tp_name, CONTROL_STEP_NAME) != 0) {
         PyErr_SetString(PyExc_TypeError, "step must be a ControlStep");
         return NULL;
     }
@@ -367,7 +366,7 @@ static PyType_Slot whole_step_slots[] = {
     {Py_tp_methods, whole_step_methods},       {Py_tp_getset, whole_step_getters},
     {Py_tp_doc, (void *)whole_step_doc},       {0, NULL},
 };
-static PyType_Spec whole_step_spec = {"graspforce.core._native.WholeStep", sizeof(gf_py_whole_step), 0, Py_TPFLAGS_DEFAULT,
+static PyType_Spec whole_step_spec = {"graspforce.core._whole_step.WholeStep", sizeof(gf_py_whole_step), 0, Py_TPFLAGS_DEFAULT,
                                       whole_step_slots};
 
 /* Add the type to the module. Return 0, or -1 with an exception. */
@@ -380,4 +379,10 @@ static int gf_py_add_whole_step(PyObject *module)
     return added;
 }
 
-#endif
+static PyModuleDef_Slot slots[] = {{Py_mod_exec, (void *)gf_py_add_whole_step}, {0, NULL}};
+static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, .m_name = "_whole_step", .m_size = 0, .m_slots = slots};
+
+PyMODINIT_FUNC PyInit__whole_step(void)
+{
+    return PyModuleDef_Init(&definition);
+}
