@@ -50,11 +50,13 @@ class DesiredGuard:
         Raises:
             Implausible: it is out of range; names the field.
         """
-        body = object_motion(desired)
-        self._position.check(body.p_HO)
-        self._twist.check(body.twist)
-        if isinstance(desired, GraspMotion):
-            self._posture.check(desired.q)
+        body, position, twist = object_motion(desired), self._position, self._twist
+        if not position.contains(body.p_HO):
+            position.refuse(body.p_HO)
+        if not twist.contains(body.twist):
+            twist.refuse(body.twist)
+        if isinstance(desired, GraspMotion) and not self._posture.contains(desired.q):
+            self._posture.refuse(desired.q)
 
 
 class _Range:
@@ -68,16 +70,16 @@ class _Range:
         free = np.full(len(lower), math.inf)
         self._rules = np.array([middle, half, free, free])
 
-    def check(self, x: Array) -> None:
-        """Check numbers.
-
-        Raises:
-            Implausible: one is out of range.
-        """
+    def contains(self, x: Array) -> bool:
+        """Return whether all numbers are in the range, or their count is wrong: then the control law names the array."""
         if len(x) != len(self._lower):
-            return  # the control law names the array
-        if native is not None and native.is_plausible_state(x, None, 0.0, self._rules):
-            return
+            return True
+        if native is not None:
+            return bool(native.is_plausible_state(x, None, 0.0, self._rules))
+        return not (np.abs(x - self._rules[0]) > self._rules[1]).any()
+
+    def refuse(self, x: Array) -> None:
+        """Raise Implausible for the first number out of range."""
         for i, value in enumerate(x.tolist()):
             if abs(value - self._rules[0, i]) > self._rules[1, i]:
                 allowed = f"plausible: from {self._lower[i]:.6g} to {self._upper[i]:.6g} {self._unit}"

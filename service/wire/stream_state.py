@@ -217,8 +217,18 @@ def _decode_fast(payload: bytes, codec: str, hand: Hand) -> StreamState:
 
 def _check_usual(numbers: bytes) -> None:
     """Raise ValueError if the numbers of a state may be out of range: then they are read and checked one by one."""
-    if np.abs(np.frombuffer(numbers)).max() > LARGEST_DISTANCE:  # the least of all bounds
+    if native is not None:
+        is_usual = native.is_plausible_state(numbers, None, 0.0, _usual_range(len(numbers) // 8))
+    else:
+        is_usual = np.abs(np.frombuffer(numbers)).max() <= LARGEST_DISTANCE
+    if not is_usual:
         raise ValueError("a number may be out of range")
+
+
+@cache
+def _usual_range(count: int) -> Array:
+    """Return the rules of numbers within the least of all bounds, as `is_plausible_state` in C takes them, (4, count)."""
+    return np.repeat([[0.0], [LARGEST_DISTANCE], [math.inf], [math.inf]], count, axis=1)
 
 
 def _state_of(record: _StateRecord[Any, Any], hand: Hand) -> StreamState:
