@@ -84,7 +84,8 @@ class CompiledControlLaw(ObjectControlLaw):
                 self._pause = _PAUSE
             elif self._is_warm:
                 return found
-            self._is_warm = True  # the first step starts both solvers, and is that of the reference
+            else:
+                self._is_warm = True  # the first step starts both solvers, and is that of the reference
         return super().step(memory, state, desired, external, conditions)
 
     def _take_whole_step(
@@ -123,8 +124,8 @@ class CompiledControlLaw(ObjectControlLaw):
             warnings += self._warnings.of_joints(state.q)
         integral, factors, sensitivity = result.integral, None, None
         if self._learning.is_active:
-            made = memory.torque_factors, self.grasp, state, told, targets, result
-            factors, integral, sensitivity = self._learning.step(*made)
+            inputs = memory.torque_factors, self.grasp, state, told, targets, result
+            factors, integral, sensitivity = self._learning.step(*inputs)
             integral = limit_integral(integral, self._gains[2], self._integral_limits)
         data = StepForces(self.force_solver, targets, forces)
         solution = make_record(LazySolution, _SOLUTION_FIELDS, _BACKEND, iterations, seconds, data)
@@ -191,13 +192,6 @@ def _make_whole_step(law: CompiledControlLaw) -> Any:
 
 def _link_rows(hand: Hand) -> Array:
     """Return the links of a hand as rows of numbers, (n_full, 30), as `WholeStep` in C takes them."""
-    rows = [
-        np.concatenate(
-            [
-                *([float(link.parent), float(link.is_prismatic)], link.p_PL, link.R_PL.ravel(), link.axis),
-                *([link.mass], link.p_LM, link.inertia.ravel()),
-            ]
-        )
-        for link in hand.model.tree(()).links
-    ]
-    return np.array(rows)
+    fields = ("parent", "is_prismatic", "p_PL", "R_PL", "axis", "mass", "p_LM", "inertia")
+    links = hand.model.tree(()).links
+    return np.array([np.hstack([np.ravel(getattr(link, name)) for name in fields]) for link in links], dtype=float)

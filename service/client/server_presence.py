@@ -45,7 +45,9 @@ class ServerPresence:
                 raise ServiceTimeout(
                     f"{describe_addresses(self._addresses)} did not list the servers within {self._timeout:g} s"
                 )
-            found.append(str(reply.ok.key_expr).removeprefix(f"{_ALIVE_KEY}/"))
+            prefix, _, id = str(reply.ok.key_expr).rpartition("/")
+            if prefix == _ALIVE_KEY and "*" not in id:  # a token whose key has wildcards is none of a server
+                found.append(id)
         return tuple(sorted(found))
 
     def note_request(self) -> None:

@@ -47,6 +47,13 @@ _GUARD: dict[str, object] = {
                 "key_exprs": ["**"],
             },
             {
+                "id": "queries to others",  # a session in the mode of a router would get all without declaring anything
+                "permission": "deny",
+                "flows": ["egress"],
+                "messages": ["query"],
+                "key_exprs": ["**"],
+            },
+            {
                 "id": "tokens of others",
                 "permission": "deny",
                 "flows": ["ingress"],
@@ -55,7 +62,7 @@ _GUARD: dict[str, object] = {
             },
         ],
         "subjects": [{"id": "others"}],
-        "policies": [{"rules": ["queryables of others", "tokens of others"], "subjects": ["others"]}],
+        "policies": [{"rules": ["queryables of others", "queries to others", "tokens of others"], "subjects": ["others"]}],
     }
 }
 

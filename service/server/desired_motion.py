@@ -21,7 +21,7 @@ from graspforce.control.state import GraspMotion, object_motion
 from graspforce.core.arrays import Array
 from graspforce.core.compiled import native
 from graspforce.grasp.grasp import Grasp
-from graspforce.service.server.plausibility import OBJECT_RATE, OBJECT_SPEED, Implausible, object_reach
+from graspforce.service.server.plausibility import OBJECT_RATE, OBJECT_SPEED, Implausible, middle_and_half, object_reach
 
 _JOINT_MARGIN = 0.1  # of the range of a joint
 
@@ -64,11 +64,8 @@ class _Range:
 
     def __init__(self, field: str, lower: Array, upper: Array, unit: str) -> None:
         self._field, self._lower, self._upper, self._unit = field, lower, upper, unit
-        is_bounded = np.isfinite(lower) & np.isfinite(upper)
-        middle = np.where(is_bounded, 0.5 * (np.where(is_bounded, lower, 0.0) + np.where(is_bounded, upper, 0.0)), 0.0)
-        half = np.where(is_bounded, np.where(is_bounded, upper, 0.0) - middle, math.inf)
-        free = np.full(len(lower), math.inf)
-        self._rules = np.array([middle, half, free, free])
+        free = np.full(len(lower), math.inf)  # changes
+        self._rules = np.array([*middle_and_half(lower, upper), free, free])
 
     def contains(self, x: Array) -> bool:
         """Return whether all numbers are in the range, or their count is wrong: then the control law names the array."""

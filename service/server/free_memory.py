@@ -12,10 +12,10 @@ _M_ARENA_MAX = -8  # of malloc.h
 
 
 def share_heap() -> None:
-    """Let all threads that start later share one heap, with the GNU C library; otherwise do nothing.
+    """Let all threads that start later share one heap.
 
-    Otherwise most threads get heaps of their own, and each keeps the free memory of its own largest amount of work. The
-    process then grows for hours. Does nothing if the environment has a number of heaps, ``MALLOC_ARENA_MAX``.
+    The GNU C library gives most threads a heap of their own, and each keeps the free memory of its largest amount of work: the
+    process grows for hours. Do nothing with another library, or if the environment variable ``MALLOC_ARENA_MAX`` is set.
     """
     set_option = _c_function("mallopt")
     if set_option is not None and "MALLOC_ARENA_MAX" not in os.environ:

@@ -82,9 +82,7 @@ class StateGuard:
         rate = _JUMP_RATE_FACTOR * np.asarray(hand.velocity_limit)  # rad/s, m/s
         self._speed = np.concatenate([rate, np.zeros(n), np.full(3, _JUMP_SPEED), np.full(9, _JUMP_RATE), np.zeros(6)])
         self._n, self._validity = n, validity
-        is_bounded = np.isfinite(self._upper)
-        lower, upper = np.where(is_bounded, self._lower, 0.0), np.where(is_bounded, self._upper, 0.0)
-        self._middle, self._half = 0.5 * (lower + upper), np.where(is_bounded, 0.5 * (upper - lower), math.inf)
+        self._middle, self._half = middle_and_half(self._lower, self._upper)
         self._rules = np.array([self._middle, self._half, self._jump, self._speed])
         self._last: tuple[Array, float, float] | None = None  # accepted state, its time and when it was received, s
         self._jumped: tuple[Array, float, float] | None = None  # last state after a jump that is not accepted yet
@@ -155,6 +153,18 @@ class StateGuard:
         if last is not None:
             return Implausible(field, float(x[i]), f"closer to the last one, {last[i]:.6g} {unit}: a jump")
         return Implausible(field, float(x[i]), f"plausible: from {self._lower[i]:.6g} to {self._upper[i]:.6g} {unit}")
+
+
+def middle_and_half(lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Return the middle and the half of ranges; 0 and infinity where a bound is infinite.
+
+    Args:
+        lower: (m,) lower bounds.
+        upper: (m,) upper bounds.
+    """
+    is_bounded = np.isfinite(lower) & np.isfinite(upper)
+    lower, upper = np.where(is_bounded, lower, 0.0), np.where(is_bounded, upper, 0.0)
+    return 0.5 * (lower + upper), np.where(is_bounded, 0.5 * (upper - lower), math.inf)
 
 
 def object_reach(grasp: Grasp) -> float:

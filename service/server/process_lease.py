@@ -56,12 +56,12 @@ class ProcessLease:
 
     def renew(self) -> None:
         """Renew the lease; after an interruption, call `on_lost` first."""
-        if not self.holds:
-            log.warning("the process did not run for %.3f s: its streams are given up", self._clock() - self._renewed)
-            self._on_lost()
-            self._renewed = self._woken = self._clock()
+        if self.holds:
+            self._renewed = self._clock()
             return
-        self._renewed = self._clock()
+        log.warning("the process did not run for %.3f s: its streams are given up", self._clock() - self._renewed)
+        self._on_lost()
+        self._renewed = self._woken = self._clock()
 
     def close(self) -> None:
         """Stop renewing the lease."""

@@ -178,7 +178,7 @@ def test_the_reference_takes_over_without_the_full_margin_and_gives_back(monkeyp
 
 
 @pytest.mark.parametrize("finger", ["index", "middle"])
-def test_a_lost_drive_is_the_reference_s(finger: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_steps_without_a_drive_are_those_of_the_reference(finger: str, monkeypatch: pytest.MonkeyPatch) -> None:
     grasp = named_grasp("allegro_right sphere")
     law = CompiledControlLaw(grasp, ControlSettings())
     taken, memory = count_whole_steps(law, monkeypatch), law.initial_memory()
