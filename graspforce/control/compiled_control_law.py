@@ -88,6 +88,15 @@ class CompiledControlLaw(ObjectControlLaw):
                 self._is_warm = True  # the first step starts both solvers, and is that of the reference
         return super().step(memory, state, desired, external, conditions)
 
+    def usual_step(self, memory: ControlMemory) -> Any:
+        """Return the `WholeStep` in C if the next step may be usual; None if it is that of the reference.
+
+        Args:
+            memory: memory after the last step.
+        """
+        is_ready = self._is_warm and self._pause <= 1 and not self._learning.is_active and _is_usual(memory)
+        return self._whole_step if is_ready else None
+
     def _take_whole_step(
         self, memory: ControlMemory, state: GraspState, desired: DesiredMotion, external: npt.ArrayLike | None
     ) -> tuple[Command, ControlMemory] | None:

@@ -29,6 +29,11 @@ _JOINT_MARGIN = 0.1  # of the range of a joint
 class DesiredGuard:
     """Checks of the desired motions of one stream.
 
+    Attributes:
+        position: range of the desired position of the object.
+        twist: range of its desired twist.
+        posture: range of the desired joint positions.
+
     Args:
         grasp: hand, object and contacts.
     """
@@ -37,9 +42,9 @@ class DesiredGuard:
         hand, reach = grasp.hand, np.full(3, object_reach(grasp))  # m
         speed = np.repeat([OBJECT_SPEED, OBJECT_RATE], 3)
         margin = np.where(np.isfinite(hand.q_upper - hand.q_lower), _JOINT_MARGIN * (hand.q_upper - hand.q_lower), 0.0)
-        self._position = _Range("desired.position", -reach, reach, "m")
-        self._twist = _Range("desired.twist", -speed, speed, "m/s or rad/s")
-        self._posture = _Range("desired.joints.posture", hand.q_lower - margin, hand.q_upper + margin, "rad or m")
+        self.position = _Range("desired.position", -reach, reach, "m")
+        self.twist = _Range("desired.twist", -speed, speed, "m/s or rad/s")
+        self.posture = _Range("desired.joints.posture", hand.q_lower - margin, hand.q_upper + margin, "rad or m")
 
     def check(self, desired: DesiredMotion) -> None:
         """Check a desired motion.
@@ -50,34 +55,38 @@ class DesiredGuard:
         Raises:
             Implausible: it is out of range; names the field.
         """
-        body, position, twist = object_motion(desired), self._position, self._twist
+        body, position, twist = object_motion(desired), self.position, self.twist
         if not position.contains(body.p_HO):
             position.refuse(body.p_HO)
         if not twist.contains(body.twist):
             twist.refuse(body.twist)
-        if isinstance(desired, GraspMotion) and not self._posture.contains(desired.q):
-            self._posture.refuse(desired.q)
+        if isinstance(desired, GraspMotion) and not self.posture.contains(desired.q):
+            self.posture.refuse(desired.q)
 
 
 class _Range:
-    """The range of an array of numbers."""
+    """The range of an array of numbers.
+
+    Attributes:
+        rules: (4, m) rules as those of `StateGuard`, without bounds of changes.
+    """
 
     def __init__(self, field: str, lower: Array, upper: Array, unit: str) -> None:
         self._field, self._lower, self._upper, self._unit = field, lower, upper, unit
         free = np.full(len(lower), math.inf)  # changes
-        self._rules = np.array([*middle_and_half(lower, upper), free, free])
+        self.rules = np.array([*middle_and_half(lower, upper), free, free])
 
     def contains(self, x: Array) -> bool:
         """Return whether all numbers are in the range, or their count is wrong: then the control law names the array."""
         if len(x) != len(self._lower):
             return True
         if native is not None:
-            return bool(native.is_plausible_state(x, None, 0.0, self._rules))
-        return not (np.abs(x - self._rules[0]) > self._rules[1]).any()
+            return bool(native.is_plausible_state(x, None, 0.0, self.rules))
+        return not (np.abs(x - self.rules[0]) > self.rules[1]).any()
 
     def refuse(self, x: Array) -> None:
         """Raise Implausible for the first number out of range."""
         for i, value in enumerate(x.tolist()):
-            if abs(value - self._rules[0, i]) > self._rules[1, i]:
+            if abs(value - self.rules[0, i]) > self.rules[1, i]:
                 allowed = f"plausible: from {self._lower[i]:.6g} to {self._upper[i]:.6g} {self._unit}"
                 raise Implausible(f"{self._field}[{i}]", value, allowed)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from concurrent.futures import Executor
+from dataclasses import replace
 from functools import partial
+from typing import Any
 
 from graspforce.control import Command, ContactConditions, ControlMemory, GraspState
 from graspforce.control.compiled_control_law import CompiledControlLaw
@@ -51,6 +53,22 @@ class ExactControl:
     def _is_plain(self) -> bool:
         """Whether commands have no parts beside those of `BinaryCommand`."""
         return not (self._has_drive or self._changes.is_used or self._clearance_steps or self._has_heat)
+
+    def usual_step(self) -> tuple[Any, ControlMemory] | None:
+        """Return the step in C and the memory if the next step may be usual and its command plain; otherwise None."""
+        law, memory = self._control.law, self._control.memory
+        if not (self._is_plain and isinstance(law, CompiledControlLaw)):
+            return None
+        step = law.usual_step(memory)
+        return None if step is None else (step, memory)
+
+    def resume(self, memory: ControlMemory) -> None:
+        """Continue from the memory of a step that was taken elsewhere.
+
+        Args:
+            memory: memory after the step.
+        """
+        self._control = replace(self._control, memory=memory)
 
     def step(self, state: StreamState) -> AnyCommand:
         """Return the command for a state.

@@ -39,7 +39,7 @@ _REACH_MARGIN = 0.05  # m
 _JUMP_POSTURE, _JUMP_SLIDE = 0.05, 0.0025  # rad, and m for prismatic joints, without time between two states
 _JUMP_POSITION, _JUMP_ROTATION = 0.01, 0.1  # m and –, of the object
 _JUMP_RATE_FACTOR, _JUMP_SPEED, _JUMP_RATE = 1.5, 2.0, 20.0  # –, m/s, rad/s: of a motion between two states
-_LONGEST_GAP = 0.01  # s between two states that adds to their change
+LONGEST_GAP = 0.01  # s between two states that adds to their change
 OBJECT_SPEED, OBJECT_RATE = 5.0, 50.0  # m/s, rad/s: of a measured twist
 _LASTING = 0.05  # s, after which a jump is accepted
 _TRUE_BYTE = b"\1"  # NumPy's True in memory
@@ -54,8 +54,17 @@ class Implausible(InvalidInput):
     code = "implausible"
 
 
+Accepted = tuple[Array, float, float]
+"""Numbers of a state, its time on the sender's clock, and when it was received, s."""
+
+
 class StateGuard:
     """Checks of the states of one stream. One thread at a time uses it.
+
+    Attributes:
+        rules: (4, 2 n + 18) rules of q, v, and position, rotation and twist of the object: the middle and the half of the
+            range, the largest change at once, and that per second.
+        last: the last accepted state; None before the first.
 
     Args:
         grasp: hand, object and contacts.
@@ -83,9 +92,9 @@ class StateGuard:
         self._speed = np.concatenate([rate, np.zeros(n), np.full(3, _JUMP_SPEED), np.full(9, _JUMP_RATE), np.zeros(6)])
         self._n, self._validity = n, validity
         self._middle, self._half = middle_and_half(self._lower, self._upper)
-        self._rules = np.array([self._middle, self._half, self._jump, self._speed])
-        self._last: tuple[Array, float, float] | None = None  # accepted state, its time and when it was received, s
-        self._jumped: tuple[Array, float, float] | None = None  # last state after a jump that is not accepted yet
+        self.rules = np.array([self._middle, self._half, self._jump, self._speed])
+        self.last: Accepted | None = None
+        self._jumped: Accepted | None = None  # last state after a jump that is not accepted yet
         self._jumped_since = 0.0  # when its first state was received, s
 
     def check(self, state: GraspState | Measurement, time: float, received: float) -> None:
@@ -108,29 +117,37 @@ class StateGuard:
         outside = np.abs(x - self._middle) > self._half
         if _TRUE_BYTE in outside.tobytes():  # faster than any()
             raise self._error(x, state, outside, None)
-        if self._last is not None and _TRUE_BYTE in (jumps := self._jumps(given, self._last)).tobytes():
+        if self.last is not None and _TRUE_BYTE in (jumps := self._jumps(given, self.last)).tobytes():
             if self._jumped is None or _TRUE_BYTE in self._jumps(given, self._jumped).tobytes():
                 self._jumped_since = received
             self._jumped = given
             if received - self._jumped_since < _LASTING:
-                raise self._error(x, state, jumps, self._last[0])
-        self._last, self._jumped = given, None
+                raise self._error(x, state, jumps, self.last[0])
+        self.last, self._jumped = given, None
 
-    def _accept(self, given: tuple[Array, float, float]) -> bool:
+    def resume(self, last: Accepted) -> None:
+        """Continue after a state that was accepted elsewhere.
+
+        Args:
+            last: the state.
+        """
+        self.last, self._jumped = last, None
+
+    def _accept(self, given: Accepted) -> bool:
         """Accept a plausible state in compiled code; otherwise return False, and `check` finds the broken rule."""
         if native is None:
             return False
-        last, dt = (None, 0.0) if self._last is None else (self._last[0], self._elapsed(given, self._last))
-        if not native.is_plausible_state(given[0], last, dt, self._rules):
+        last, dt = (None, 0.0) if self.last is None else (self.last[0], self._elapsed(given, self.last))
+        if not native.is_plausible_state(given[0], last, dt, self.rules):
             return False
-        self._last, self._jumped = given, None
+        self.last, self._jumped = given, None
         return True
 
-    def _elapsed(self, now: tuple[Array, float, float], last: tuple[Array, float, float]) -> float:
+    def _elapsed(self, now: Accepted, last: Accepted) -> float:
         """Return the time between two states that adds to their change, s."""
-        return max(min(now[1] - last[1], now[2] - last[2] + self._validity, _LONGEST_GAP), 0.0)
+        return max(min(now[1] - last[1], now[2] - last[2] + self._validity, LONGEST_GAP), 0.0)
 
-    def _jumps(self, now: tuple[Array, float, float], last: tuple[Array, float, float]) -> npt.NDArray[np.bool_]:
+    def _jumps(self, now: Accepted, last: Accepted) -> npt.NDArray[np.bool_]:
         """Return which quantities changed by more than their rules allow."""
         return np.abs(now[0] - last[0]) > self._jump + self._elapsed(now, last) * self._speed
 

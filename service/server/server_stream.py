@@ -14,6 +14,7 @@ import msgspec
 from graspforce.control.object_control_law import ObjectControlLaw
 from graspforce.core.errors import RequestRefused
 from graspforce.core.json_text import JsonRecord
+from graspforce.service.server.compiled_answers import CompiledAnswers
 from graspforce.service.server.desired_motion import DesiredGuard
 from graspforce.service.server.exact_control import ExactControl, check_finite
 from graspforce.service.server.joint_control import JointControl
@@ -91,11 +92,15 @@ class ServerStream:
         self._desired_guard: DesiredGuard | None = None
         self._torque_step: TorqueStepLimit | None = None
         self._heat: StreamHeat | None = None
+        self._answers: CompiledAnswers | None = None
         if isinstance(setup, StreamSetup):
             self._guard = StateGuard(setup.grasp, setup.validity, setup.sensors is not None)
             self._desired_guard = DesiredGuard(setup.grasp)
             self._torque_step = TorqueStepLimit(setup.grasp, setup.torque_step)
             self._heat = StreamHeat(setup.hand) if setup.hand.drives.has_thermal_data else None
+            if isinstance(self._control, ExactControl):
+                checks = self._guard, self._desired_guard, self._torque_step
+                self._answers = CompiledAnswers(setup, self._control, *checks)
         self._sequence: int | None = None
         self._silent_context = make_silent_context()
 
@@ -188,10 +193,14 @@ class ServerStream:
 
     def _answer(self, payload: bytes, codec: str, received: float) -> bytes:
         """Return the encoded command for a valid state."""
+        answer = None if self._answers is None else self._answers.answer(payload, codec, received)
+        if answer is not None:
+            self._count(answer.sequence)
+            self.late += answer.late
+            self.latency.observe(answer.seconds)
+            return answer.payload
         state = self._control.decode(payload, codec)
-        if self._sequence is not None and state.sequence > self._sequence:
-            self.skipped += state.sequence - self._sequence - 1
-        self._sequence = state.sequence
+        self._count(state.sequence)
         if self._guard is not None:
             self._guard.check(state.state, state.time, received)
         if self._desired_guard is not None:
@@ -207,6 +216,12 @@ class ServerStream:
         self.late += record.late
         self.latency.observe(record.server_seconds)
         return record.encode() if isinstance(record, BinaryCommand) else protocol.encode(record, codec)
+
+    def _count(self, sequence: int) -> None:
+        """Count the states that were skipped before one."""
+        if self._sequence is not None and sequence > self._sequence:
+            self.skipped += sequence - self._sequence - 1
+        self._sequence = sequence
 
 
 def _read_proofs(proof: object) -> list[str]:

@@ -37,14 +37,18 @@ class TorqueStepLimit:
 
     If the contact forces of both torques lie inside their friction cones, so do those in between, because cones are convex.
 
+    Attributes:
+        largest: (n,) largest change of each joint's torque between two commands, N·m; infinite without torque limits.
+        last: torques of the last command, or the bytes of their numbers, N·m; None before the first.
+
     Args:
         grasp: hand, object and contacts.
         fraction: largest change of a joint's torque between two commands, as a fraction of half its torque range.
     """
 
     def __init__(self, grasp: Grasp, fraction: float) -> None:
-        self._step, self._drives = largest_step(grasp, fraction), DriveMap(grasp.hand)
-        self._last: Array | bytes | None = None  # torque of the last command, or the bytes of its numbers, N·m
+        self.largest, self._drives = largest_step(grasp, fraction), DriveMap(grasp.hand)
+        self.last: Array | bytes | None = None
 
     def apply(self, record: AnyCommand, state: StreamState) -> None:
         """Limit the torque of a command in place; a warning then names the remaining part of the step.
@@ -55,16 +59,16 @@ class TorqueStepLimit:
         """
         given = record.torque
         tau = to_array(given) if isinstance(given, list) else given
-        if self._last is not None:
-            excess = _step_ratio(tau, self._last, self._step)
+        if self.last is not None:
+            excess = _step_ratio(tau, self.last, self.largest)
             if excess > 1.0:
-                last = to_array(self._last)
+                last = to_array(self.last)
                 tau = last + (to_array(tau) - last) / excess
                 record.torque = tau.tolist() if isinstance(given, list) else tau.tobytes()
                 record.warnings = (*record.warnings, f"torque step limited to 1/{excess:.3g} of the computed one")
                 if isinstance(record, CommandRecord):
                     self._limit_drives(record, tau, state)
-        self._last = tau
+        self.last = tau
 
     def _limit_drives(self, record: CommandRecord, tau: Array, state: StreamState) -> None:
         """Compute the set-points of the drives for a limited torque."""

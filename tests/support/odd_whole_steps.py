@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+import time
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -36,6 +38,60 @@ def odd_state(grasp: Grasp, rng: np.random.Generator) -> GraspState:
     scale, n = 10.0 ** rng.integers(-6, 12), grasp.hand.n
     body = BodyMotion(grasp.p_HO + 1e-3 * scale * rng.normal(size=3), grasp.R_HO, scale * rng.normal(size=6))
     return GraspState(grasp.q + 1e-2 * scale * rng.normal(size=n), scale * rng.normal(size=n), body)
+
+
+def encode_state(state: GraspState, desired: BodyMotion, external: np.ndarray | None) -> bytes:
+    """Return the payload of a state with binary arrays."""
+    body = state.object
+    motion = {"position": desired.p_HO, "rotation": desired.R_HO, "twist": desired.twist, "acceleration": desired.acceleration}
+    measured = {"position": body.p_HO, "rotation": body.R_HO, "twist": body.twist}
+    record = {
+        "sequence": 7,
+        "time": 0.0,
+        "state": {"posture": state.q, "velocity": state.v, "object": measured},
+        "desired": motion,
+        **({} if external is None else {"external": external}),
+    }
+    return msgspec.msgpack.encode(record, enc_hook=lambda array: np.asarray(array, dtype=float).tobytes())
+
+
+def check_answers(law: compiled_control_law.CompiledControlLaw, rng: np.random.Generator) -> int:
+    """Answer usual states, odd ones and spoiled bytes; return how many are answered. Check that wrong arguments are not."""
+    grasp, n = law.grasp, law.grasp.hand.n
+    rules, free = np.repeat([[0.0], [1e6], [np.inf], [np.inf]], 5 * n + 48, axis=1), np.full(n, np.inf)
+    numbers = rules, free, np.array(grasp.contacts.mu)
+    make = compiled_control_law.whole_step.StreamStep
+    step = make(law._whole_step, *numbers, 0.02, 0.01, time.perf_counter)
+    rest = BodyMotion(grasp.p_HO, grasp.R_HO)
+    _, memory = law.step(law.initial_memory(), GraspState(grasp.q, np.zeros(n), rest), rest)
+    tips = memory.tip_contacts
+    parts = np.zeros(2 + 2 * n + 18), np.zeros(n), memory.integral, memory.R_OC, memory.creep, memory.f, tips.p_OF, tips.R_OF
+    last = b"".join(np.ascontiguousarray(part).tobytes() for part in (*parts, tips.p_OC))
+    answered = 0
+    for i in range(4 * STEPS):
+        state = GraspState(grasp.q, np.zeros(n), rest) if i % 4 == 0 else odd_state(grasp, rng)
+        payload = bytearray(encode_state(state, rest, rng.normal(size=6) * 0.01 if i % 3 else None))
+        if i % 4 == 2:
+            payload[rng.integers(len(payload))] = rng.integers(256)
+        if i % 4 == 3:
+            del payload[rng.integers(len(payload)) :]
+        found = step.answer(bytes(payload), time.perf_counter(), last)
+        answered += found is not None
+        last = last if found is None else found[1]
+    for call, arguments in (
+        (step.answer, []),
+        (step.answer, [b"", 0.0, b""]),
+        (step.answer, [b"", "x", last]),
+        (make, [None, *numbers, 0.02, 0.01, time.perf_counter]),
+        (make, [law._whole_step, *numbers, 0.02, 0.01, None]),
+        (make, [law._whole_step, *numbers[::-1], 0.02, 0.01, time.perf_counter]),
+    ):
+        try:
+            call(*arguments)
+        except (TypeError, ValueError):
+            continue
+        raise AssertionError(f"{arguments!r} was accepted")
+    return answered
 
 
 def check_refusals(law: compiled_control_law.CompiledControlLaw) -> None:
@@ -77,6 +133,7 @@ def main(path: str) -> None:
                 found += 1
                 assert command.solution.certificate.verified
     check_refusals(supported[-1])
+    assert 0 < sum(check_answers(law, rng) for law in supported) < 3 * STEPS * len(supported)
     print(attempts, found)
 
 

@@ -1,0 +1,149 @@
+"""The usual answers of a stream with exact states, each in one call of C: from the bytes of a state to those of its command.
+
+A state is usual if it has the form of docs/wire.md in MessagePack with binary arrays, breaks no rule, and brings neither a
+warning nor a torque step above the bound. `ServerStream` answers all others, and hands the memory over to this class and back.
+The rules are those of `StateGuard`, `DesiredGuard` and `TorqueStepLimit`, which give their numbers.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from graspforce.contact.kinematics import TipContactState
+from graspforce.control import ControlMemory
+from graspforce.core import compiled
+from graspforce.core.arrays import Array
+from graspforce.core.constants import LARGEST_DISTANCE
+from graspforce.service.server.desired_motion import DesiredGuard
+from graspforce.service.server.exact_control import ExactControl
+from graspforce.service.server.plausibility import LONGEST_GAP, StateGuard
+from graspforce.service.server.torque_step import TorqueStepLimit
+from graspforce.service.wire import protocol
+from graspforce.service.wire.control_records import StreamSetup
+
+_PAUSE = 10  # states that are answered in Python after one that was not usual, because such states follow each other
+_MEASURED_NUMBERS = 18  # position, rotation and twist of the object
+_TARGET_NUMBERS, _WRENCH_NUMBERS = 24, 6  # desired position, rotation, twist and acceleration; external wrench
+
+
+class Answer(NamedTuple):
+    """An answer to a state.
+
+    Attributes:
+        payload: the encoded command.
+        memory: what the next answer starts from.
+        sequence: number of the state.
+        seconds: time from its receipt to its command, s.
+        late: whether that is longer than the validity of the stream.
+    """
+
+    payload: bytes
+    memory: bytes
+    sequence: int
+    seconds: float
+    late: bool
+
+
+class CompiledAnswers:
+    """Usual answers of one stream. One thread at a time uses it.
+
+    Args:
+        setup: fixed parameters of the stream.
+        control: control of the stream, whose memory it takes and returns.
+        guard: plausibility of its states.
+        desired_guard: plausibility of its desired motions.
+        torque_step: bound of its torque's step.
+    """
+
+    def __init__(
+        self,
+        setup: StreamSetup,
+        control: ExactControl,
+        guard: StateGuard,
+        desired_guard: DesiredGuard,
+        torque_step: TorqueStepLimit,
+    ) -> None:
+        self._setup, self._control = setup, control
+        self._guard, self._torque_step = guard, torque_step
+        self._rules = _stack_rules(setup.hand.n, guard, desired_guard)
+        self._has_torsion = bool(np.any(setup.grasp.contacts.gamma > 0.0))  # friction about the normals
+        self._step: Any = None  # in C; made for the first usual state
+        self._layout = np.dtype(np.void)
+        self._memory: bytes | None = None  # after the last answer in C; None after one in Python
+        self._pause = 0  # states until the C code is tried again
+
+    def answer(self, payload: bytes, codec: str, received: float) -> Answer | None:
+        """Return the answer to a state; None if it is not usual: then the control answers it in Python.
+
+        Args:
+            payload: the encoded state.
+            codec: its encoding.
+            received: when it arrived, on the clock `time.perf_counter`, s.
+        """
+        self._pause = max(self._pause - 1, 0)
+        memory = None
+        if codec == protocol.MSGPACK and self._pause == 0:
+            memory = self._take_memory() if self._memory is None else self._memory
+        found = None if memory is None else self._step.answer(payload, received, memory)
+        if found is None:
+            self._pause = self._pause if memory is None else _PAUSE
+            self._return_memory()
+            return None
+        answer = Answer._make(found)
+        self._memory = answer.memory
+        return answer
+
+    def _take_memory(self) -> bytes | None:
+        """Return the memory of control, guard and torque step; None if the next step cannot be usual."""
+        usual, last, tau = self._control.usual_step(), self._guard.last, self._torque_step.last
+        if usual is None or last is None or tau is None or self._has_torsion:
+            return None
+        whole_step, memory = usual
+        if memory.tip_contacts is None or memory.f is None:
+            return None
+        if self._step is None:
+            self._step = self._make_step(whole_step)
+            self._layout = np.dtype(self._step.memory_layout)
+        block, tips = np.zeros((), self._layout), memory.tip_contacts
+        measured, *times = last
+        parts = (
+            *(times, measured, np.frombuffer(tau) if isinstance(tau, bytes) else tau),
+            *(memory.integral, memory.R_OC, memory.creep, memory.f, tips.p_OF, tips.R_OF, tips.p_OC),
+        )
+        for name, part in zip(self._layout.names or (), parts, strict=True):
+            block[name] = part
+        return block.tobytes()
+
+    def _return_memory(self) -> None:
+        """Give the memory back to control, guard and torque step."""
+        if self._memory is None:
+            return
+        block, self._memory = np.ndarray((), self._layout, self._memory), None
+        sent, received = block["times"].tolist()
+        self._guard.resume((block["measured"], sent, received))
+        self._torque_step.last = block["tau"]
+        tips = TipContactState(block["p_OF"], block["R_OF"], block["p_OC"])
+        self._control.resume(ControlMemory(block["integral"], block["R_OC"], block["creep"], block["f"], tips))
+
+    def _make_step(self, whole_step: Any) -> Any:
+        """Return the step in C of this stream, with the solver of a `WholeStep`."""
+        contacts = self._setup.grasp.contacts
+        arrays = (np.array(each, dtype=float) for each in (self._rules, self._torque_step.largest, contacts.mu))
+        return compiled.whole_step.StreamStep(whole_step, *arrays, self._setup.validity, LONGEST_GAP, time.perf_counter)
+
+
+def _stack_rules(n: int, guard: StateGuard, desired_guard: DesiredGuard) -> Array:
+    """Return the rules of all numbers of a state with n joints, (4, 5 n + 48), as `StreamStep` in C takes them."""
+    measured = 2 * n + _MEASURED_NUMBERS
+    count = measured + _TARGET_NUMBERS + 3 * n + _WRENCH_NUMBERS
+    rules = np.repeat([[0.0], [LARGEST_DISTANCE], [math.inf], [math.inf]], count, axis=1)
+    joints = measured + _TARGET_NUMBERS
+    starts = {0: guard.rules, measured: desired_guard.position.rules, measured + 12: desired_guard.twist.rules}
+    for start, own in (starts | {joints: desired_guard.posture.rules}).items():
+        rules[:, start : start + own.shape[1]] = own
+    rules[1] = np.minimum(rules[1], LARGEST_DISTANCE)
+    return rules
