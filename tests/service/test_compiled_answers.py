@@ -117,6 +117,21 @@ def test_nearly_all_states_of_a_held_object_are_answered_in_c() -> None:
     assert pair.compiled >= 98  # not the first, whose control has no memory, nor the one after
 
 
+@pytest.mark.parametrize("name", ["four_finger sphere", "allegro_right sphere"])
+@pytest.mark.parametrize("binary", [True, False], ids=["binary", "lists"])
+def test_commands_in_c_have_the_bytes_of_the_general_encoder(name: str, binary: bool) -> None:
+    grasp, rng = named_grasp(name), np.random.default_rng(9)
+    pair = Pair(grasp)
+    for i in range(20):
+        state = moving_state(grasp, i, rng)
+        payload = state.encode(MSGPACK) if binary else protocol.encode(state.to_dict(), MSGPACK)
+        command = pair.streams[0].command(payload, MSGPACK, PERIOD * i).payload
+        record = READERS[MSGPACK](command)
+        assert isinstance(record.torque, bytes) == isinstance(record.memory.frames, bytes) == binary
+        assert protocol.encode(record, MSGPACK) == command
+    assert pair.compiled > 10
+
+
 def test_contacts_without_friction_have_the_margins_of_python() -> None:
     grasp = named_grasp("allegro_right box")
     contacts = [replace(each, model="frictionless", friction=None) for each in grasp.contacts.contacts[:1]]
