@@ -1,7 +1,7 @@
 """The usual answers of a stream with exact states, each in one call of C: from the bytes of a state to those of its command.
 
-A state is usual if it has the form of docs/wire.md in MessagePack, breaks no rule, and brings neither a warning nor a torque
-step above the bound. `ServerStream` answers all others, and hands the memory over to this class and back.
+A state is usual if it has the form of docs/wire.md, its fields in their order, breaks no rule, and brings neither a warning nor
+a torque step above the bound. `ServerStream` answers all others, and hands the memory over to this class and back.
 The rules are those of `StateGuard`, `DesiredGuard` and `TorqueStepLimit`, which give their numbers.
 """
 
@@ -11,6 +11,7 @@ import math
 import time
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 
 from graspforce.contact.kinematics import TipContactState
@@ -28,6 +29,9 @@ from graspforce.service.wire.control_records import StreamSetup
 _PAUSE = 10  # states that are answered in Python after one that was not usual, because such states follow each other
 _MEASURED_NUMBERS = 18  # position, rotation and twist of the object
 _TARGET_NUMBERS, _WRENCH_NUMBERS = 24, 6  # desired position, rotation, twist and acceleration; external wrench
+
+_decode_json, _encode_json = msgspec.json.Decoder().decode, msgspec.json.Encoder().encode
+_decode_msgpack, _encode_msgpack = msgspec.msgpack.Decoder().decode, msgspec.msgpack.Encoder().encode
 
 
 class Answer(NamedTuple):
@@ -85,17 +89,25 @@ class CompiledAnswers:
             received: when it arrived, on the clock `time.perf_counter`, s.
         """
         self._pause = max(self._pause - 1, 0)
-        memory = None
-        if codec == protocol.MSGPACK and self._pause == 0:
-            memory = self._take_memory() if self._memory is None else self._memory
-        found = None if memory is None else self._step.answer(payload, received, memory)
+        memory = self._memory
+        if memory is None and self._pause == 0:
+            memory = self._take_memory()
+        found = None if memory is None else self._answer(payload, codec, received, memory)
         if found is None:
             self._pause = self._pause if memory is None else _PAUSE
             self._return_memory()
             return None
+        self._memory = found.memory
+        return found
+
+    def _answer(self, payload: bytes, codec: str, received: float, memory: bytes) -> Answer | None:
+        """Return the answer to a state in C, or None."""
+        state = payload if codec == protocol.MSGPACK else _json_to_msgpack(payload)
+        found = None if state is None else self._step.answer(state, received, memory)
+        if found is None:
+            return None
         answer = Answer._make(found)
-        self._memory = answer.memory
-        return answer
+        return answer if codec == protocol.MSGPACK else answer._replace(payload=_encode_json(_decode_msgpack(answer.payload)))
 
     def _take_memory(self) -> bytes | None:
         """Return the memory of control, guard and torque step; None if the next step cannot be usual."""
@@ -134,6 +146,14 @@ class CompiledAnswers:
         contacts = self._setup.grasp.contacts
         arrays = (np.array(each, dtype=float) for each in (self._rules, self._torque_step.largest, contacts.mu))
         return compiled.whole_step.StreamStep(whole_step, *arrays, self._setup.validity, LONGEST_GAP, time.perf_counter)
+
+
+def _json_to_msgpack(payload: bytes) -> bytes | None:
+    """Return a record of JSON in MessagePack, its fields in their order; None if it is malformed."""
+    try:
+        return _encode_msgpack(_decode_json(payload))
+    except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError):
+        return None
 
 
 def _stack_rules(n: int, guard: StateGuard, desired_guard: DesiredGuard) -> Array:
