@@ -10,8 +10,8 @@ Slower streams have a lower priority. Streams that exceed their declared period 
 the server's limit on the states a second of all real-time streams, `realtime_states`. One server has the default of this
 limit, another one a limit that no row reaches.
 
-The largest times are those of the system: Linux stops all real-time threads of a processor for 50 ms if they have used it for
-950 ms of a second, which the fourth process does.
+Linux stops all real-time threads of a processor for 50 ms if they have used it for 950 ms of a second, which the fourth process
+may do.
 """
 
 from __future__ import annotations
