@@ -1,17 +1,15 @@
 """Overhead of a control stream over Zenoh: `python -m benchmarks.control_stream`.
 
-The driver (this process) and the server (another process) communicate over loopback TCP. Five subjects take turns in bursts,
+The driver (this process) and the server (another process) communicate over loopback TCP. Four subjects take turns in bursts,
 so that a drift of the machine's speed affects them equally:
 
 - an echo: messages of the sizes of a state and a command, by Zenoh alone. The far end replies in Zenoh's receiving thread,
   which a service must not block;
 - the same echo with a reply from another thread, behind a ring buffer of one message, as in the service;
-- the stream without control step: `Stream.step` with all work of the service except the step. The server sends the command
-  that it computed for the first state;
 - the control step alone: `ObjectController.step` in this process, on the same states;
-- the whole stream.
+- the stream: `Stream.step`. The command states the time of its part in the server, from the receipt of the state.
 
-All subjects run at 1 kHz. The ratio is the time of the stream without control step over that of the echo.
+All subjects run at 1 kHz. The ratio is the time of the stream without its part in the server over that of the echo.
 """
 
 from __future__ import annotations
@@ -39,7 +37,6 @@ from graspforce import Contact, ContactSet, Hand
 from graspforce.bench.conditions import processor
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlMemory, ControlSettings, GraspState, ObjectController
-from graspforce.control.object_control_law import ObjectControlLaw
 from graspforce.geometry import Sphere
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
@@ -52,7 +49,7 @@ FINGERS = ("index", "middle", "thumb")
 BURST = 50  # consecutive round trips of a subject
 WARM_UP = 10  # round trips of a burst that are not timed
 PERIOD = 1e-3  # s, between round trips; without pauses Zenoh's threads do not sleep, and an echo takes half the time
-SKIP_STEP_SETTINGS = ControlSettings(contact_tolerance=0.123)  # m; the far end skips the steps of streams with these settings
+IN_SERVER, OUTSIDE = "stream, part in the server", "stream without its part in the server"  # subjects
 LOCAL = "tcp/127.0.0.1:0"
 TIMEOUT = 5.0  # s
 
@@ -90,7 +87,6 @@ def serve_remote_end() -> None:
     if "--pin" in sys.argv:
         os.sched_setaffinity(0, {1})
     reply = b"x" * int(sys.argv[2])
-    _skip_steps()
     with Server(["allegro_right"], listen=LOCAL) as server, zenoh.open(_settings("peer", "listen", LOCAL)) as session:
         direct, ringed = (session.declare_publisher(f"echo/{kind}/command") for kind in ("direct", "ring"))
         session.declare_subscriber("echo/direct/state", Callback(lambda _: direct.put(reply), indirect=False))
@@ -109,20 +105,6 @@ def serve_remote_end() -> None:
         sys.stdin.read()
         states.undeclare()
         thread.join()
-
-
-def _skip_steps() -> None:
-    """Patch this process: a stream with `SKIP_STEP_SETTINGS` gets the command of its first state for all states."""
-    step, first = ObjectControlLaw.step, {}
-
-    def skipped(law: ObjectControlLaw, *inputs: Any) -> Any:
-        if law.settings.contact_tolerance != SKIP_STEP_SETTINGS.contact_tolerance:
-            return step(law, *inputs)
-        if law not in first:
-            first[law] = step(law, *inputs)
-        return first[law]
-
-    ObjectControlLaw.step = skipped  # type: ignore[method-assign]
 
 
 def _settings(mode: str, side: str, address: str) -> zenoh.Config:
@@ -185,19 +167,16 @@ def measure(rounds: int, pin: bool = False) -> tuple[dict[str, np.ndarray], int,
         remote_end(len(back), pin) as (service, echoes),
         Client(service, timeout=TIMEOUT) as client,
         zenoh.open(_settings("client", "connect", echoes)) as session,
-        client.open_stream(grasp, SKIP_STEP_SETTINGS, validity=TIMEOUT) as idle,
         client.open_stream(grasp, ControlSettings(), validity=TIMEOUT) as stream,
     ):
         subjects: dict[str, Callable[[int], Any]] = {
             "echo": echo(session, "direct", out),
             "echo behind a ring buffer": echo(session, "ring", out),
-            "stream without control step": lambda i: idle.step(*points[i], wait=TIMEOUT),
             "control step": lambda i: controller.step(*points[i]),
             "stream": lambda i: stream.step(*points[i], wait=TIMEOUT),
         }
         time.sleep(0.5)  # s, for discovery of both ends
-        for each in (idle, stream):
-            each.step(*points[0], wait=TIMEOUT)
+        stream.step(*points[0], wait=TIMEOUT)
         for _ in range(rounds):
             for name, run in subjects.items():
                 own = times.setdefault(name, [])
@@ -210,11 +189,12 @@ def measure(rounds: int, pin: bool = False) -> tuple[dict[str, np.ndarray], int,
                     elapsed = time.perf_counter() - start
                     if i >= WARM_UP:
                         own.append(elapsed)
-                        if name.startswith("stream"):
-                            assert reply.sequence == (stream if name == "stream" else idle).sequence  # this state's command
+                        if name == "stream":
+                            assert reply.sequence == stream.sequence  # this state's command
                             assert not reply.forces_reused
                             assert not reply.late
-                            times.setdefault(f"{name}, part in the server", []).append(reply.server_seconds)
+                            times.setdefault(IN_SERVER, []).append(reply.server_seconds)
+                            times.setdefault(OUTSIDE, []).append(elapsed - reply.server_seconds)
     return {name: np.array(own) for name, own in times.items()}, len(out), len(back)
 
 
@@ -234,7 +214,6 @@ def report(times: dict[str, np.ndarray], out: int, back: int) -> str:
         "  buffer, another thread replies, as in the service.",
         "- The round trip of the stream is `Stream.step`, from arrays to arrays. Its part in the server lasts from the receipt",
         "  of the state until the command is ready for encoding.",
-        "- Without control step, the server sends a command that it computed before.",
         "- The control step is `ObjectController.step` in the driver's process.",
         "",
         "| subject | 10 % µs | median µs | 90 % µs | 99 % µs | max µs |",
@@ -244,14 +223,13 @@ def report(times: dict[str, np.ndarray], out: int, back: int) -> str:
         spread = 1e6 * np.array([*np.quantile(own, [0.1, 0.5, 0.9, 0.99]), own.max()])
         lines.append(f"| {name} | " + " | ".join(f"{value:.0f}" for value in spread) + " |")
     median = {name: float(np.median(own)) for name, own in times.items()}
-    without_step = median["stream without control step"]
     bursts = {name: np.median(own.reshape(-1, BURST - WARM_UP), axis=1) for name, own in times.items()}
-    low, high = np.quantile(bursts["stream without control step"] / bursts["echo"], [0.1, 0.9])
+    low, high = np.quantile(bursts[OUTSIDE] / bursts["echo"], [0.1, 0.9])
     lines += [
         "",
-        f"Without control step the stream takes **{without_step / median['echo']:.2f} times the bare echo**, and"
-        f" {without_step / median['echo behind a ring buffer']:.2f} times the echo",
-        f"behind a ring buffer. With the control step it takes {median['stream'] / median['echo']:.2f} times the bare echo."
+        f"Without its part in the server the stream takes **{median[OUTSIDE] / median['echo']:.2f} times the bare echo**, and"
+        f" {median[OUTSIDE] / median['echo behind a ring buffer']:.2f} times",
+        f"the echo behind a ring buffer. As a whole it takes {median['stream'] / median['echo']:.2f} times the bare echo."
         f" Medians over {len(times['stream'])} round trips each.",
         f"The first ratio varies between bursts from {low:.2f} to {high:.2f} (10 % to 90 %).",
         "",
