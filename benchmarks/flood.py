@@ -12,7 +12,8 @@ the time that Zenoh and the flooding client need.
 "answered" is the share of the polite client's requests that are solved in time during the flood. "recovery" is the time from
 the end of the flood until the first of five consecutive polite requests that each take at most the 99 % quantile of the quiet
 time: later slow requests, which a shared machine has at any time, do not count. Memory is that of the server and its worker and
-planning processes, which start with the server.
+planning processes, which start with the server. The planning processes keep the equations of a
+hand from its first plan on: this is the growth after the flood of plans.
 """
 
 from __future__ import annotations
