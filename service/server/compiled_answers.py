@@ -1,7 +1,7 @@
 """The usual answers of a stream with exact states, each in one call of C: from the bytes of a state to those of its command.
 
-A state is usual if it has the form of docs/wire.md, its fields in their order, breaks no rule, and brings neither a warning nor
-a torque step above the bound. `ServerStream` answers all others, and hands the memory over to this class and back.
+A state is usual if it has the form of docs/wire.md, in MessagePack also the order of its fields, breaks no rule, and brings
+neither a warning nor a torque step above the bound. `ServerStream` answers all others, and hands the memory over to this class and back.
 The rules are those of `StateGuard`, `DesiredGuard` and `TorqueStepLimit`, which give their numbers.
 """
 
@@ -25,13 +25,13 @@ from graspforce.service.server.plausibility import LONGEST_GAP, StateGuard
 from graspforce.service.server.torque_step import TorqueStepLimit
 from graspforce.service.wire import protocol
 from graspforce.service.wire.control_records import StreamSetup
+from graspforce.service.wire.stream_state import msgpack_from_json
 
 _PAUSE = 10  # states that are answered in Python after one that was not usual, because such states follow each other
 _MEASURED_NUMBERS = 18  # position, rotation and twist of the object
 _TARGET_NUMBERS, _WRENCH_NUMBERS = 24, 6  # desired position, rotation, twist and acceleration; external wrench
 
-_decode_json, _encode_json = msgspec.json.Decoder().decode, msgspec.json.Encoder().encode
-_decode_msgpack, _encode_msgpack = msgspec.msgpack.Decoder().decode, msgspec.msgpack.Encoder().encode
+_decode_msgpack, _encode_json = msgspec.msgpack.Decoder().decode, msgspec.json.Encoder().encode
 
 
 class Answer(NamedTuple):
@@ -102,7 +102,7 @@ class CompiledAnswers:
 
     def _answer(self, payload: bytes, codec: str, received: float, memory: bytes) -> Answer | None:
         """Return the answer to a state in C, or None."""
-        state = payload if codec == protocol.MSGPACK else _json_to_msgpack(payload)
+        state = payload if codec == protocol.MSGPACK else msgpack_from_json(payload)
         found = None if state is None else self._step.answer(state, received, memory)
         if found is None:
             return None
@@ -146,14 +146,6 @@ class CompiledAnswers:
         contacts = self._setup.grasp.contacts
         arrays = (np.array(each, dtype=float) for each in (self._rules, self._torque_step.largest, contacts.mu))
         return compiled.whole_step.StreamStep(whole_step, *arrays, self._setup.validity, LONGEST_GAP, time.perf_counter)
-
-
-def _json_to_msgpack(payload: bytes) -> bytes | None:
-    """Return a record of JSON in MessagePack, its fields in their order; None if it is malformed."""
-    try:
-        return _encode_msgpack(_decode_json(payload))
-    except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError):
-        return None
 
 
 def _stack_rules(n: int, guard: StateGuard, desired_guard: DesiredGuard) -> Array:

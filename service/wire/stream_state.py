@@ -192,6 +192,21 @@ _STATE_DECODERS: dict[str, Any] = {
     protocol.JSON: msgspec.json.Decoder(_StateRecord[list[float], list[list[float]]]),
 }
 
+_encode_record = msgspec.msgpack.Encoder().encode
+
+
+def msgpack_from_json(payload: bytes) -> bytes | None:
+    """Return an exact state of JSON in MessagePack, with its fields in order; None if it is none.
+
+    Args:
+        payload: the state in JSON.
+    """
+    try:
+        return _encode_record(_STATE_DECODERS[protocol.JSON].decode(payload))
+    except (msgspec.MsgspecError, ValueError, RecursionError):
+        return None
+
+
 _make_motion = unchecked_constructor(BodyMotion)
 _make_grasp_state = unchecked_constructor(GraspState)
 _make_grasp_motion = unchecked_constructor(GraspMotion)
