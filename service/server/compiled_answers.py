@@ -1,8 +1,8 @@
 """The usual answers of a stream with exact states, each in one call of C: from the bytes of a state to those of its command.
 
 A state is usual if it has the form of docs/wire.md, in MessagePack also the order of its fields, breaks no rule, and brings
-neither a warning nor a torque step above the bound. `ServerStream` answers all others, and hands the memory over to this class and back.
-The rules are those of `StateGuard`, `DesiredGuard` and `TorqueStepLimit`, which give their numbers.
+neither a warning nor a torque step above the bound. `ServerStream` answers all others, and hands the memory over to this class
+and back. The rules are those of `StateGuard`, `DesiredGuard` and `TorqueStepLimit`, which give their numbers.
 """
 
 from __future__ import annotations
