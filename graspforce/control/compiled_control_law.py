@@ -94,6 +94,7 @@ class CompiledControlLaw(ObjectControlLaw):
         Args:
             memory: memory after the last step.
         """
+        # `step` counts the pause down before it looks at it.
         is_ready = self._is_warm and self._pause <= 1 and not self._learning.is_active and _is_usual(memory)
         return self._whole_step if is_ready else None
 

@@ -27,7 +27,7 @@ from graspforce.service.wire import protocol
 from graspforce.service.wire.control_records import StreamSetup
 from graspforce.service.wire.stream_state import msgpack_from_json
 
-_PAUSE = 10  # states that are answered in Python after one that was not usual, because such states follow each other
+_PAUSE = 10  # states that are answered in Python from one that was not usual on, because such states follow each other
 _MEASURED_NUMBERS = 18  # position, rotation and twist of the object
 _TARGET_NUMBERS, _WRENCH_NUMBERS = 24, 6  # desired position, rotation, twist and acceleration; external wrench
 
@@ -92,12 +92,17 @@ class CompiledAnswers:
         memory = self._memory
         if memory is None and self._pause == 0:
             memory = self._take_memory()
-        found = None if memory is None else self._answer(payload, codec, received, memory)
-        if found is None:
-            self._pause = self._pause if memory is None else _PAUSE
-            self._return_memory()
+        if memory is None:
             return None
-        self._memory = found.memory
+        found = None
+        try:
+            found = self._answer(payload, codec, received, memory)
+        finally:
+            if found is None:
+                self._pause = _PAUSE
+                self._return_memory()
+        if found is not None:
+            self._memory = found.memory
         return found
 
     def _answer(self, payload: bytes, codec: str, received: float, memory: bytes) -> Answer | None:
@@ -114,11 +119,11 @@ class CompiledAnswers:
         usual, last, tau = self._control.usual_step(), self._guard.last, self._torque_step.last
         if usual is None or last is None or tau is None or self._has_torsion:
             return None
-        whole_step, memory = usual
+        step, memory = usual
         if memory.tip_contacts is None or memory.f is None:
             return None
         if self._step is None:
-            self._step = self._make_step(whole_step)
+            self._step = self._make_step(step)
             self._layout = np.dtype(self._step.memory_layout)
         block, tips = np.zeros((), self._layout), memory.tip_contacts
         measured, *times = last
@@ -141,11 +146,11 @@ class CompiledAnswers:
         tips = TipContactState(block["p_OF"], block["R_OF"], block["p_OC"])
         self._control.resume(ControlMemory(block["integral"], block["R_OC"], block["creep"], block["f"], tips))
 
-    def _make_step(self, whole_step: Any) -> Any:
-        """Return the step in C of this stream, with the solver of a `WholeStep`."""
+    def _make_step(self, step: Any) -> Any:
+        """Return the `StreamStep` in C of this stream, with the solver of a `WholeStep`."""
         contacts = self._setup.grasp.contacts
         arrays = (np.array(each, dtype=float) for each in (self._rules, self._torque_step.largest, contacts.mu))
-        return compiled.whole_step.StreamStep(whole_step, *arrays, self._setup.validity, LONGEST_GAP, time.perf_counter)
+        return compiled.whole_step.StreamStep(step, *arrays, self._setup.validity, LONGEST_GAP, time.perf_counter)
 
 
 def _stack_rules(n: int, guard: StateGuard, desired_guard: DesiredGuard) -> Array:

@@ -196,14 +196,14 @@ _encode_record = msgspec.msgpack.Encoder().encode
 
 
 def msgpack_from_json(payload: bytes) -> bytes | None:
-    """Return an exact state of JSON in MessagePack, with its fields in order; None if it is none.
+    """Return an exact state of JSON in MessagePack, with its fields in order; None if it is not an exact state.
 
     Args:
         payload: the state in JSON.
     """
     try:
         return _encode_record(_STATE_DECODERS[protocol.JSON].decode(payload))
-    except (msgspec.MsgspecError, ValueError, RecursionError):
+    except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError):  # OverflowError: an integer above 64 bits
         return None
 
 

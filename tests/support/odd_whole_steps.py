@@ -40,8 +40,9 @@ def odd_state(grasp: Grasp, rng: np.random.Generator) -> GraspState:
     return GraspState(grasp.q + 1e-2 * scale * rng.normal(size=n), scale * rng.normal(size=n), body)
 
 
-def encode_state(state: GraspState, desired: BodyMotion, external: np.ndarray | None) -> bytes:
-    """Return the payload of a state with binary arrays."""
+def encode_state(state: GraspState, desired: BodyMotion, external: np.ndarray | None, binary: bool) -> bytes:
+    """Return the payload of a state with binary arrays, or with lists."""
+    write = np.ndarray.tobytes if binary else np.ndarray.tolist
     body = state.object
     motion = {"position": desired.p_HO, "rotation": desired.R_HO, "twist": desired.twist, "acceleration": desired.acceleration}
     measured = {"position": body.p_HO, "rotation": body.R_HO, "twist": body.twist}
@@ -52,7 +53,7 @@ def encode_state(state: GraspState, desired: BodyMotion, external: np.ndarray | 
         "desired": motion,
         **({} if external is None else {"external": external}),
     }
-    return msgspec.msgpack.encode(record, enc_hook=lambda array: np.asarray(array, dtype=float).tobytes())
+    return msgspec.msgpack.encode(record, enc_hook=lambda array: write(np.array(array, dtype=float)))
 
 
 def check_answers(law: compiled_control_law.CompiledControlLaw, rng: np.random.Generator) -> int:
@@ -70,7 +71,7 @@ def check_answers(law: compiled_control_law.CompiledControlLaw, rng: np.random.G
     answered = 0
     for i in range(4 * STEPS):
         state = GraspState(grasp.q, np.zeros(n), rest) if i % 4 == 0 else odd_state(grasp, rng)
-        payload = bytearray(encode_state(state, rest, rng.normal(size=6) * 0.01 if i % 3 else None))
+        payload = bytearray(encode_state(state, rest, rng.normal(size=6) * 0.01 if i % 3 else None, i % 5 < 3))
         if i % 4 == 2:
             payload[rng.integers(len(payload))] = rng.integers(256)
         if i % 4 == 3:
