@@ -7,7 +7,6 @@ and back. The rules are those of `StateGuard`, `DesiredGuard` and `TorqueStepLim
 
 from __future__ import annotations
 
-import math
 import time
 from typing import Any, NamedTuple
 
@@ -25,11 +24,10 @@ from graspforce.service.server.plausibility import LONGEST_GAP, StateGuard
 from graspforce.service.server.torque_step import TorqueStepLimit
 from graspforce.service.wire import protocol
 from graspforce.service.wire.control_records import StreamSetup
-from graspforce.service.wire.stream_state import msgpack_from_json
+from graspforce.service.wire.stream_state import STACKED_NUMBERS, block_layout, msgpack_from_json, usual_range
 
 _PAUSE = 10  # states that are answered in Python from one that was not usual on, because such states follow each other
-_MEASURED_NUMBERS = 18  # position, rotation and twist of the object
-_TARGET_NUMBERS, _WRENCH_NUMBERS = 24, 6  # desired position, rotation, twist and acceleration; external wrench
+_FLOAT_BYTES = 8  # bytes of a float64
 
 _decode_msgpack, _encode_json = msgspec.msgpack.Decoder().decode, msgspec.json.Encoder().encode
 
@@ -155,12 +153,11 @@ class CompiledAnswers:
 
 def _stack_rules(n: int, guard: StateGuard, desired_guard: DesiredGuard) -> Array:
     """Return the rules of all numbers of a state with n joints, (4, 5 n + 48), as `StreamStep` in C takes them."""
-    measured = 2 * n + _MEASURED_NUMBERS
-    count = measured + _TARGET_NUMBERS + 3 * n + _WRENCH_NUMBERS
-    rules = np.repeat([[0.0], [LARGEST_DISTANCE], [math.inf], [math.inf]], count, axis=1)
-    joints = measured + _TARGET_NUMBERS
-    starts = {0: guard.rules, measured: desired_guard.position.rules, measured + 12: desired_guard.twist.rules}
-    for start, own in (starts | {joints: desired_guard.posture.rules}).items():
-        rules[:, start : start + own.shape[1]] = own
-    rules[1] = np.minimum(rules[1], LARGEST_DISTANCE)
+    layout = block_layout(n, joints=True, external=True)
+    rules: Array = usual_range(layout.itemsize // _FLOAT_BYTES).copy()
+    rows = rules.view(layout)[:, 0]
+    rows[STACKED_NUMBERS] = guard.rules
+    rows["p_d"], rows["twist_d"] = desired_guard.position.rules, desired_guard.twist.rules
+    rows["q_d"] = desired_guard.posture.rules
+    np.minimum(rules[1], LARGEST_DISTANCE, out=rules[1])
     return rules

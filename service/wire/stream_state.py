@@ -233,7 +233,7 @@ def _decode_fast(payload: bytes, codec: str, hand: Hand) -> StreamState:
 def _check_usual(numbers: bytes) -> None:
     """Raise ValueError if the numbers of a state may be out of range: then they are read and checked one by one."""
     if native is not None:
-        is_usual = native.is_plausible_state(numbers, None, 0.0, _usual_range(len(numbers) // 8))
+        is_usual = native.is_plausible_state(numbers, None, 0.0, usual_range(len(numbers) // 8))
     else:
         is_usual = np.abs(np.frombuffer(numbers)).max() <= LARGEST_DISTANCE
     if not is_usual:
@@ -241,8 +241,12 @@ def _check_usual(numbers: bytes) -> None:
 
 
 @cache
-def _usual_range(count: int) -> Array:
-    """Return the rules of numbers within the least of all bounds, as `is_plausible_state` in C takes them, (4, count)."""
+def usual_range(count: int) -> Array:
+    """Return the rules of numbers within the least of all bounds, as `is_plausible_state` in C takes them, (4, count).
+
+    Args:
+        count: number of numbers.
+    """
     return np.repeat([[0.0], [LARGEST_DISTANCE], [math.inf], [math.inf]], count, axis=1)
 
 
@@ -291,7 +295,7 @@ def _join_parts(parts: tuple[Any, ...], shapes: tuple[tuple[int, int], ...], n: 
 
 def _view_block(n: int, has_joints: bool, has_external: bool, numbers: bytes) -> tuple[GraspState, DesiredMotion, Array | None]:
     """Return the state, the desired motion and the external wrench of checked numbers."""
-    block = np.ndarray((), _block_dtype(n, has_joints, has_external), numbers)
+    block = np.ndarray((), block_layout(n, has_joints, has_external), numbers)
     now = _make_motion(block["p_HO"], block["R_HO"], block["twist"], _ZEROS)
     desired: DesiredMotion = _make_motion(block["p_d"], block["R_d"], block["twist_d"], block["acceleration_d"])
     if has_joints:
@@ -340,8 +344,14 @@ def _part_shapes(n: int, joints: bool, external: bool) -> tuple[tuple[int, int],
 
 
 @cache
-def _block_dtype(n: int, joints: bool, external: bool) -> np.dtype[np.void]:
-    """Return the layout of a state's numbers. Its field `STACKED_NUMBERS` overlaps the five arrays that were measured."""
+def block_layout(n: int, joints: bool, external: bool) -> np.dtype[np.void]:
+    """Return the layout of a state's numbers. Its field `STACKED_NUMBERS` overlaps the five arrays that were measured.
+
+    Args:
+        n: number of joints.
+        joints: whether the state has desired joint motions.
+        external: whether it has an external wrench.
+    """
     given = _block_fields(n, joints, external)
     sizes = [_FLOAT_BYTES * math.prod(shape) for _, shape in given]
     return np.dtype(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -21,7 +22,8 @@ MEMORY_SIZES = (6, 9 * CONTACTS, 2 * CONTACTS, FORCES, 3 * CONTACTS, 9 * CONTACT
 
 
 def load_module(path: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location("_native", path)
+    """Return the compiled module of a file, whose name before the first dot is that of the module."""
+    spec = importlib.util.spec_from_file_location(Path(path).name.partition(".")[0], path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)

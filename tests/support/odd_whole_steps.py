@@ -5,7 +5,6 @@ Prints the number of attempts and of steps that were found. A sanitizer ends the
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 import time
 from pathlib import Path
@@ -19,18 +18,9 @@ from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, GraspState, compiled_control_law
 from graspforce.grasp.grasp import Grasp
 from support.control_grasps import GRASP_NAMES, named_grasp, with_all_contact_models
+from support.odd_messages import load_module
 
 STEPS = 30  # of each grasp
-
-
-def load_module(path: str) -> None:
-    """Use the module of a file in place of the installed one."""
-    spec = importlib.util.spec_from_file_location("graspforce.core._whole_step", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    compiled_control_law.whole_step = module
 
 
 def odd_state(grasp: Grasp, rng: np.random.Generator) -> GraspState:
@@ -115,7 +105,7 @@ def check_refusals(law: compiled_control_law.CompiledControlLaw) -> None:
 
 def main(path: str) -> None:
     """Take the steps, call the type with wrong arguments, and print the counts."""
-    load_module(path)
+    compiled_control_law.whole_step = load_module(path)  # in place of the installed one
     rng, attempts, found = np.random.default_rng(0), 0, 0
     supported: list[compiled_control_law.CompiledControlLaw] = []
     grasps = [named_grasp(name) for name in GRASP_NAMES]
