@@ -145,15 +145,17 @@ class Requests:
         except zenoh.ZError as error:
             raise ServiceError(f"cannot ask for {key}: {describe_zenoh_error(error)}") from None
 
-    def _from_servers(self, replies: Iterable[zenoh.Reply]) -> Iterator[zenoh.Reply]:
-        """Yield the replies of servers. Without a router these are connected directly; replies of other sessions are dropped.
+    def _replies_of_servers(self, send: Callable[[float], Iterable[zenoh.Reply]], timeout: float) -> Iterator[zenoh.Reply]:
+        """Send a query and yield the replies of servers; those of other sessions are dropped.
 
-        Behind a router any session may answer; only TLS prevents it.
+        Without a router, servers are connected directly. Behind a router any session may answer; only TLS prevents it. The
+        sessions that are connected before the query count as well, because a server may reply and disconnect at once.
         """
         info = self._session.info
-        for reply in replies:
+        had_router, peers = bool(info.routers_zid()), info.peers_zid()
+        for reply in send(timeout):
             replier = reply.replier_id  # None for errors of Zenoh itself
-            if replier is None or info.routers_zid() or replier.zid in info.peers_zid():
+            if replier is None or had_router or replier.zid in peers or info.routers_zid() or replier.zid in info.peers_zid():
                 yield reply
 
     def _first_answer(
@@ -170,9 +172,10 @@ class Requests:
         """
         deadline = time.monotonic() + timeout
         self._presence.note_request()
-        answer = read_replies(self._from_servers(send(timeout)), sequence, timeout)
+        answer = read_replies(self._replies_of_servers(send, timeout), sequence, timeout)
         if not isinstance(answer, dict) and self._presence.wait_for_replica(deadline):
-            answer = read_replies(self._from_servers(send(deadline - time.monotonic())), sequence, timeout) or answer
+            again = self._replies_of_servers(send, deadline - time.monotonic())
+            answer = read_replies(again, sequence, timeout) or answer
         if not isinstance(answer, dict):
             raise answer or self._presence.explain_missing_answer(key)
         self._presence.note_answer()

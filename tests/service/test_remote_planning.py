@@ -304,6 +304,20 @@ def test_stopped_server_answers_with_the_best_plan_so_far():
     assert answers[0].stopped
 
 
+def test_answer_of_a_stopped_server_reaches_a_client_that_is_busy_until_the_server_has_ended():
+    with server_process(HAND) as (child, address), Client(address, timeout=TIMEOUT) as client:
+
+        def end_server(now):
+            if now.best is not None and child.poll() is None:
+                child.send_signal(signal.SIGINT)
+                assert child.wait(TIMEOUT) == 0
+            return True
+
+        answer = client.plan(slow_move(), budget=60.0, callback=end_server)
+        assert isinstance(answer, Plan)
+        assert answer.stopped
+
+
 def test_killed_planning_process_leaves_the_best_plan_so_far_and_is_replaced():
     with server_process(HAND) as (child, address):
         with active_plan(address, "shot") as answers:
