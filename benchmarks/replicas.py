@@ -57,6 +57,7 @@ TIMEOUT = 30.0  # s
 SETTLE = 1.5  # s, after a fault is over: a server that woke would answer by then
 WATCHDOG = Watchdog(hold=TIMEOUT)
 LOCAL, DATAGRAMS = "tcp/127.0.0.1:0", "udp/127.0.0.1:0"
+_OWNER_TIME = 0.1  # s, in which the owner of the stream sends commands
 LOSS, LOSSY_DELAY, LOSSY_JITTER = 0.1, 5e-3, 1e-2  # share, s and s, of a lossy link
 
 
@@ -136,8 +137,12 @@ class Replica:
 
     def has_stream(self) -> bool:
         """Return whether the server has an open stream with commands."""
+        return self.count_commands() > 0
+
+    def count_commands(self) -> int:
+        """Return the number of commands of the server's open streams."""
         with Client(self.address, timeout=TIMEOUT) as client:
-            return any(each.outcomes.get("ok", 0) > 0 for each in client.status().active_streams)
+            return sum(each.outcomes.get("ok", 0) for each in client.status().active_streams)
 
     def end(self) -> None:
         """Kill the process, and close the link."""
@@ -199,9 +204,18 @@ class Cell:
             time.sleep(max(tick - time.monotonic(), 0.0))
 
     def find_owner(self) -> tuple[Replica, Replica]:
-        """Return the replica that has the stream, and the other one."""
+        """Return the replica that answers the stream, and the other one. The driver steps the stream in the meantime."""
         first, second = self.replicas
-        return (first, second) if first.has_stream() else (second, first)
+        deadline = time.monotonic() + TIMEOUT
+        while time.monotonic() < deadline:
+            before = [each.count_commands() for each in self.replicas]
+            self.drive(_OWNER_TIME)
+            has_grown = [each.count_commands() > count for each, count in zip(self.replicas, before, strict=True)]
+            if has_grown == [True, False]:
+                return first, second
+            if has_grown == [False, True]:
+                return second, first
+        raise RuntimeError(f"neither or both of the replicas answer the stream after {TIMEOUT:g} s")
 
     def recover(self) -> None:
         """Step until the stream has been lost, and its torque has reached new commands."""

@@ -98,6 +98,16 @@ class CompiledControlLaw(ObjectControlLaw):
         is_ready = self._is_warm and self._pause <= 1 and not self._learning.is_active and _is_usual(memory)
         return self._whole_step if is_ready else None
 
+    def warnings(self, creep: Array, gap: Array, q: Array) -> tuple[str, ...]:
+        """Return the warnings of a usual step.
+
+        Args:
+            creep: (N,) recent sliding distances of the contacts, m.
+            gap: (N,) distances of the fingertips from the surface, m.
+            q: (n,) joint positions, rad.
+        """
+        return (*self._warnings.of_contacts(creep, gap, None), *self._warnings.of_joints(q))
+
     def _take_whole_step(
         self, memory: ControlMemory, state: GraspState, desired: DesiredMotion, external: npt.ArrayLike | None
     ) -> tuple[Command, ControlMemory] | None:
@@ -128,10 +138,7 @@ class CompiledControlLaw(ObjectControlLaw):
             block.setflags(write=False)  # commands and memories share their arrays
         (flags, iterations), forces = made, blocks[1]
         targets, result, f = CompiledTargets(compiled, blocks[0], True), compiled.read_result(blocks[2], flags), forces["f"]
-        warnings: list[str] = []
-        if result.has_warnings:
-            warnings += self._warnings.of_contacts(result.creep_distance, targets.rolling.gap, None)
-            warnings += self._warnings.of_joints(state.q)
+        warnings = self.warnings(result.creep_distance, targets.rolling.gap, state.q) if result.has_warnings else ()
         integral, factors, sensitivity = result.integral, None, None
         if self._learning.is_active:
             inputs = memory.torque_factors, self.grasp, state, told, targets, result
@@ -140,7 +147,7 @@ class CompiledControlLaw(ObjectControlLaw):
         data = StepForces(self.force_solver, targets, forces)
         solution = make_record(LazySolution, _SOLUTION_FIELDS, _BACKEND, iterations, seconds, data)
         own = self.grasp, self._constraints, targets, state, body.twist, self._drives, forces["own"], self._clearance
-        command = make_lazy_command(CommandSource(*own, sensitivity), result, solution, f, tuple(warnings), False)
+        command = make_lazy_command(CommandSource(*own, sensitivity), result, solution, f, warnings, False)
         parts = integral, targets.R_OC, result.creep, f, targets.tip_contacts
         return command, ControlMemory(*parts, torque_factors=factors)
 

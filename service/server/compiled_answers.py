@@ -1,8 +1,8 @@
 """The usual answers of a stream with exact states, each in one call of C: from the bytes of a state to those of its command.
 
-A state is usual if it has the form of docs/wire.md, in MessagePack also the order of its fields, breaks no rule, and brings
-neither a warning nor a torque step above the bound. `ServerStream` answers all others, and hands the memory over to this class
-and back. The rules are those of `StateGuard`, `DesiredGuard` and `TorqueStepLimit`, which give their numbers.
+A state is usual if it has the form of docs/wire.md, in MessagePack also the order of its fields, breaks no rule, and brings no
+torque step above the bound. `ServerStream` answers all others, and hands the memory over to this class and back. The rules are
+those of `StateGuard`, `DesiredGuard` and `TorqueStepLimit`, which give their numbers.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from graspforce.core import compiled
 from graspforce.core.arrays import Array
 from graspforce.core.constants import LARGEST_DISTANCE
 from graspforce.service.server.desired_motion import DesiredGuard
-from graspforce.service.server.exact_control import ExactControl
+from graspforce.service.server.exact_control import ExactControl, Warn
 from graspforce.service.server.plausibility import LONGEST_GAP, StateGuard
 from graspforce.service.server.torque_step import TorqueStepLimit
 from graspforce.service.wire import protocol
@@ -117,11 +117,11 @@ class CompiledAnswers:
         usual, last, tau = self._control.usual_step(), self._guard.last, self._torque_step.last
         if usual is None or last is None or tau is None or self._has_torsion:
             return None
-        step, memory = usual
+        step, warn, memory = usual
         if memory.tip_contacts is None or memory.f is None:
             return None
         if self._step is None:
-            self._step = self._make_step(step)
+            self._step = self._make_step(step, warn)
             self._layout = np.dtype(self._step.memory_layout)
         block, tips = np.zeros((), self._layout), memory.tip_contacts
         measured, *times = last
@@ -144,11 +144,12 @@ class CompiledAnswers:
         tips = TipContactState(block["p_OF"], block["R_OF"], block["p_OC"])
         self._control.resume(ControlMemory(block["integral"], block["R_OC"], block["creep"], block["f"], tips))
 
-    def _make_step(self, step: Any) -> Any:
+    def _make_step(self, step: Any, warn: Warn) -> Any:
         """Return the `StreamStep` in C of this stream, with the solver of a `WholeStep`."""
         contacts = self._setup.grasp.contacts
         arrays = (np.array(each, dtype=float) for each in (self._rules, self._torque_step.largest, contacts.mu))
-        return compiled.whole_step.StreamStep(step, *arrays, self._setup.validity, LONGEST_GAP, time.perf_counter)
+        times = self._setup.validity, LONGEST_GAP, time.perf_counter
+        return compiled.whole_step.StreamStep(step, *arrays, *times, lambda *parts: warn(*map(np.frombuffer, parts)))
 
 
 def _stack_rules(n: int, guard: StateGuard, desired_guard: DesiredGuard) -> Array:

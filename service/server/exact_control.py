@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 from graspforce.control import Command, ContactConditions, ControlMemory, GraspState
 from graspforce.control.compiled_control_law import CompiledControlLaw
 from graspforce.control.grasp_control import GraspControl
+from graspforce.core.arrays import Array
 from graspforce.core.compiled import native
 from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
@@ -19,6 +21,8 @@ from graspforce.service.wire.binary_command import AnyCommand, BinaryCommand
 from graspforce.service.wire.command_records import ClearanceRecord, CommandRecord
 from graspforce.service.wire.control_records import StreamSetup
 from graspforce.service.wire.stream_state import StreamState
+
+Warn: TypeAlias = Callable[[Array, Array, Array], tuple[str, ...]]  # `CompiledControlLaw.warnings`
 
 
 class ExactControl:
@@ -54,13 +58,13 @@ class ExactControl:
         """Whether commands have no parts beside those of `BinaryCommand`."""
         return not (self._has_drive or self._changes.is_used or self._clearance_steps or self._has_heat)
 
-    def usual_step(self) -> tuple[Any, ControlMemory] | None:
-        """Return the step in C and the memory if the next step may be usual and its command plain; otherwise None."""
+    def usual_step(self) -> tuple[Any, Warn, ControlMemory] | None:
+        """Return the step in C, its warnings and the memory if the next step may be usual and its command plain, else None."""
         law, memory = self._control.law, self._control.memory
         if not (self._is_plain and isinstance(law, CompiledControlLaw)):
             return None
         step = law.usual_step(memory)
-        return None if step is None else (step, memory)
+        return None if step is None else (step, law.warnings, memory)
 
     def resume(self, memory: ControlMemory) -> None:
         """Continue from the memory of a step that was taken elsewhere.

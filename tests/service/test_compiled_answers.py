@@ -100,9 +100,12 @@ def assert_equal_commands(found: CommandRecord, expected: CommandRecord) -> None
         np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-12, err_msg=name)
 
 
-def moving_state(grasp: Grasp, i: int, rng: np.random.Generator, full: bool | None = None) -> StreamState:
-    """Return a state of a slow motion with sensor noise; with desired joints and an external wrench if it is full."""
-    n, noise = grasp.hand.n, 1e-5  # m and rad: no contact seems to slip
+def moving_state(grasp: Grasp, i: int, rng: np.random.Generator, full: bool | None = None, noise: float = 1e-5) -> StreamState:
+    """Return a state of a slow motion with sensor noise; with desired joints and an external wrench if it is full.
+
+    With the default of the noise, m and rad, no contact seems to slip.
+    """
+    n = grasp.hand.n
     full = i % 3 == 1 if full is None else full
     body = BodyMotion(grasp.p_HO, grasp.R_HO, acceleration=[0.0, 0.0, 0.1 * math.sin(0.1 * i), 0.0, 0.0, 0.0])
     measured = BodyMotion(grasp.p_HO + noise * rng.normal(size=3), grasp.R_HO, 1e-3 * rng.normal(size=6))
@@ -181,7 +184,7 @@ def odd_payload(kind: int, i: int, rng: np.random.Generator) -> tuple[bytes, str
         state = msgspec.structs.replace(state, conditions=ContactConditions(slipping=np.array([True, False, False])))
     elif kind == 4:  # a jump
         state = msgspec.structs.replace(state, state=replace(state.state, q=GRASP.q + 0.3))
-    elif kind == 5:  # a joint at its limit
+    elif kind == 5:  # a jump of a joint to its limit
         q = np.where(np.arange(HAND.n) == 2, HAND.q_upper[2], GRASP.q)
         state = msgspec.structs.replace(state, state=replace(state.state, q=q))
     elif kind == 6:  # more than the motors can do
@@ -273,19 +276,28 @@ def test_a_change_with_a_giant_integer_begins_as_in_python() -> None:
     assert pair.streams[0]._control._changes.is_used
 
 
-def test_states_with_warnings_leave_the_start_of_the_solver() -> None:
-    """C attempts these states in vain; the next command is that of a stream which answers in Python, to rounding."""
-    pair, rng = Pair(GRASP), np.random.default_rng(8)
-    q = np.where(np.arange(HAND.n) == 2, HAND.q_upper[2], GRASP.q)
+@pytest.mark.parametrize("codec", [MSGPACK, JSON])
+@pytest.mark.parametrize(
+    ("noise", "is_at_limit", "warnings"),
+    [
+        (3e-4, False, {"slips"}),
+        (1e-3, False, {"slips", "has lost contact"}),
+        (1e-5, True, {"has lost contact", "is at its position limit"}),
+    ],
+)
+def test_states_with_warnings_are_answered_in_c(codec: str, noise: float, is_at_limit: bool, warnings: set[str]) -> None:
+    """`give` compares the texts."""
+    pair, rng, found = Pair(GRASP), np.random.default_rng(8), set()
+    q = np.where(np.arange(HAND.n) == 2, HAND.q_upper, GRASP.q)
     for i in range(60):
-        state = moving_state(GRASP, i, rng)
-        if i % 20 == 13:
+        state = moving_state(GRASP, i, rng, noise=noise)
+        if is_at_limit:
             state = msgspec.structs.replace(state, state=replace(state.state, q=q))
-        pair.give(state.encode(MSGPACK), PERIOD * i)
-        one, other = (to_array(each._torque_step.last) for each in pair.streams)
-        if pair.streams[0]._answers._memory is None:
-            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
-    assert pair.compiled > 20
+        payload = protocol.encode(state.to_dict(), JSON) if codec == JSON else state.encode(codec)
+        found.update(each.partition(":")[0].partition(" ")[2] for each in pair.give(payload, PERIOD * i, codec)["warnings"])
+    assert found == warnings
+    assert pair.compiled >= 58
+    pair.compare_memories()
 
 
 def test_skipped_and_late_states_are_counted() -> None:

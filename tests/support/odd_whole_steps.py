@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -46,18 +47,29 @@ def encode_state(state: GraspState, desired: BodyMotion, external: np.ndarray | 
     return msgspec.msgpack.encode(record, enc_hook=lambda array: write(np.array(array, dtype=float)))
 
 
+def stream_arguments(law: compiled_control_law.CompiledControlLaw) -> tuple[object, ...]:
+    """Return the arguments of a StreamStep with wide rules, but its warnings."""
+    n = law.grasp.hand.n
+    rules, free = np.repeat([[0.0], [1e6], [np.inf], [np.inf]], 5 * n + 48, axis=1), np.full(n, np.inf)
+    return law._whole_step, rules, free, np.array(law.grasp.contacts.mu), 0.02, 0.01, time.perf_counter
+
+
+def memory_after_a_step(law: compiled_control_law.CompiledControlLaw, creep: float = 0.0) -> bytes:
+    """Return the memory of a StreamStep after a first step, with additional sliding in m."""
+    grasp, n = law.grasp, law.grasp.hand.n
+    rest = BodyMotion(grasp.p_HO, grasp.R_HO)
+    _, memory = law.step(law.initial_memory(), GraspState(grasp.q, np.zeros(n), rest), rest)
+    tips, measured = memory.tip_contacts, np.zeros(2 + 2 * n + 18)
+    parts = measured, np.zeros(n), memory.integral, memory.R_OC, memory.creep + creep, memory.f, tips.p_OF, tips.R_OF, tips.p_OC
+    return b"".join(np.ascontiguousarray(part).tobytes() for part in parts)
+
+
 def check_answers(law: compiled_control_law.CompiledControlLaw, rng: np.random.Generator) -> int:
     """Answer usual states, odd ones and spoiled bytes; return how many are answered. Check that wrong arguments are not."""
     grasp, n = law.grasp, law.grasp.hand.n
-    rules, free = np.repeat([[0.0], [1e6], [np.inf], [np.inf]], 5 * n + 48, axis=1), np.full(n, np.inf)
-    numbers = rules, free, np.array(grasp.contacts.mu)
-    make = compiled_control_law.whole_step.StreamStep
-    step = make(law._whole_step, *numbers, 0.02, 0.01, time.perf_counter)
+    make, fixed = compiled_control_law.whole_step.StreamStep, stream_arguments(law)
+    step, last = make(*fixed, lambda *parts: tuple(f"{len(part)} bytes" for part in parts)), memory_after_a_step(law)
     rest = BodyMotion(grasp.p_HO, grasp.R_HO)
-    _, memory = law.step(law.initial_memory(), GraspState(grasp.q, np.zeros(n), rest), rest)
-    tips = memory.tip_contacts
-    parts = np.zeros(2 + 2 * n + 18), np.zeros(n), memory.integral, memory.R_OC, memory.creep, memory.f, tips.p_OF, tips.R_OF
-    last = b"".join(np.ascontiguousarray(part).tobytes() for part in (*parts, tips.p_OC))
     answered = 0
     for i in range(4 * STEPS):
         state = GraspState(grasp.q, np.zeros(n), rest) if i % 4 == 0 else odd_state(grasp, rng)
@@ -73,9 +85,10 @@ def check_answers(law: compiled_control_law.CompiledControlLaw, rng: np.random.G
         (step.answer, []),
         (step.answer, [b"", 0.0, b""]),
         (step.answer, [b"", "x", last]),
-        (make, [None, *numbers, 0.02, 0.01, time.perf_counter]),
-        (make, [law._whole_step, *numbers, 0.02, 0.01, None]),
-        (make, [law._whole_step, *numbers[::-1], 0.02, 0.01, time.perf_counter]),
+        (make, [None, *fixed[1:]]),
+        (make, [*fixed[:-1], None]),
+        (make, [*fixed, "warn"]),
+        (make, [fixed[0], *fixed[3:0:-1], *fixed[4:]]),
     ):
         try:
             call(*arguments)
@@ -83,6 +96,24 @@ def check_answers(law: compiled_control_law.CompiledControlLaw, rng: np.random.G
             continue
         raise AssertionError(f"{arguments!r} was accepted")
     return answered
+
+
+def check_warnings(law: compiled_control_law.CompiledControlLaw) -> None:
+    """Check that wrong warnings are exceptions, and that a state which brings one has no answer without a function for it."""
+    make, grasp = partial(compiled_control_law.whole_step.StreamStep, *stream_arguments(law)), law.grasp
+    body = BodyMotion(grasp.p_HO, grasp.R_HO)
+    payload = encode_state(GraspState(grasp.q, np.zeros(grasp.hand.n), body), body, None, binary=True)
+    usual, slipped = memory_after_a_step(law), memory_after_a_step(law, creep=1.0)
+    for texts in (None, [], (1,), ("\ud800",), ("a", None)):
+        try:
+            make(lambda *parts, texts=texts: texts).answer(payload, 0.0, slipped)
+        except (TypeError, UnicodeEncodeError):
+            continue
+        raise AssertionError(f"{texts!r} was accepted")
+    text = "slip" * 10_000
+    assert make(lambda *parts: (text,) * 3).answer(payload, 0.0, slipped)[0].count(text.encode()) == 3
+    assert make(None).answer(payload, 0.0, slipped) is None
+    assert make(None).answer(payload, 0.0, usual) is not None
 
 
 def check_refusals(law: compiled_control_law.CompiledControlLaw) -> None:
@@ -124,6 +155,7 @@ def main(path: str) -> None:
                 found += 1
                 assert command.solution.certificate.verified
     check_refusals(supported[-1])
+    check_warnings(supported[0])
     assert 0 < sum(check_answers(law, rng) for law in supported) < 3 * STEPS * len(supported)
     print(attempts, found)
 
