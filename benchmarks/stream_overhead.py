@@ -7,7 +7,8 @@ so that a drift of the machine's speed and cold caches affect them equally. The 
 steps. With authentication, the code of the state is checked and the command is signed, too: clients of this package do so.
 
 The Allegro hand holds a sphere with three fingers. Clients of this package send binary arrays. "All fields" adds desired joint
-motions and an external wrench.
+motions and an external wrench. "Sensor noise" adds 0.3 mrad to the joint positions and 0.3 mm to the object's position
+(standard deviations): most commands then warn of slip.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import numpy as np
 
 from benchmarks import report_page
 from benchmarks.control_stream import allegro_grasp, state_sequence
+from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, DesiredMotion, GraspMotion, GraspState, ObjectController
 from graspforce.control.compiled_control_law import CompiledControlLaw
 from graspforce.grasp.grasp import Grasp
@@ -44,28 +46,34 @@ class Subject(NamedTuple):
         is_full: whether it has desired joint motion and an external wrench.
         is_binary: whether its arrays are binary.
         codec: its encoding.
+        noise: standard deviation of the measured joint positions and of the object's position, rad and m.
     """
 
     name: str
     is_full: bool
     is_binary: bool
     codec: str
+    noise: float = 0.0
 
 
 SUBJECTS = (
     Subject("MessagePack, binary arrays", False, True, protocol.MSGPACK),
     Subject("MessagePack, binary arrays, all fields", True, True, protocol.MSGPACK),
+    Subject("MessagePack, binary arrays, sensor noise", False, True, protocol.MSGPACK, noise=3e-4),
     Subject("MessagePack, lists", False, False, protocol.MSGPACK),
     Subject("JSON", False, False, protocol.JSON),
 )
 
 
-def make_states(grasp: Grasp, is_full: bool) -> list[StreamState]:
+def make_states(grasp: Grasp, subject: Subject) -> list[StreamState]:
     """Return the states of a burst."""
-    rest, states = np.zeros(grasp.hand.n), []
-    for i, (state, motion) in enumerate(state_sequence(grasp, BURST)):
-        desired: DesiredMotion = GraspMotion(motion, grasp.q, rest, rest) if is_full else motion
-        states.append(StreamState(i, 0.0, state, desired, np.full(6, 1e-3) if is_full else None))
+    rest, states, rng = np.zeros(grasp.hand.n), [], np.random.default_rng(0)
+    for i, (exact, motion) in enumerate(state_sequence(grasp, BURST)):
+        body, noise = exact.object, subject.noise
+        body = BodyMotion(body.p_HO + noise * rng.normal(size=3), body.R_HO, body.twist)
+        state = GraspState(exact.q + noise * rng.normal(size=grasp.hand.n), exact.v, body)
+        desired: DesiredMotion = GraspMotion(motion, grasp.q, rest, rest) if subject.is_full else motion
+        states.append(StreamState(i, 0.0, state, desired, np.full(6, 1e-3) if subject.is_full else None))
     return states
 
 
@@ -86,7 +94,7 @@ class Served:
     def __init__(self, grasp: Grasp, subject: Subject, authenticated: bool) -> None:
         self._stream = ServerStream("benchmark", StreamSetup(grasp, authenticated=authenticated))
         self._signer = MessageSigner(self._stream.key, STATE) if self._stream.key else None
-        self._subject, self._states, self._sequence = subject, make_states(grasp, subject.is_full), 0
+        self._subject, self._states, self._sequence = subject, make_states(grasp, subject), 0
         self.bytes_in = self.bytes_out = 0
 
     def time_state(self, i: int) -> float:
@@ -110,9 +118,9 @@ def replace_time(state: StreamState, sequence: int) -> StreamState:
     return StreamState(sequence, time.monotonic(), state.state, state.desired, state.external)
 
 
-def time_steps(grasp: Grasp, is_full: bool) -> Callable[[int], float]:
+def time_steps(grasp: Grasp, subject: Subject) -> Callable[[int], float]:
     """Return a function that returns the time of a control step of the reference, s."""
-    controller, states = ObjectController(grasp), make_states(grasp, is_full)
+    controller, states = ObjectController(grasp), make_states(grasp, subject)
 
     def step(i: int) -> float:
         state = states[i]
@@ -124,9 +132,9 @@ def time_steps(grasp: Grasp, is_full: bool) -> Callable[[int], float]:
     return step
 
 
-def time_compiled_steps(grasp: Grasp, is_full: bool) -> Callable[[int], float]:
+def time_compiled_steps(grasp: Grasp, subject: Subject) -> Callable[[int], float]:
     """Return a function that returns the time of a control step of the law of streams, s."""
-    law, states = CompiledControlLaw(grasp, ControlSettings()), make_states(grasp, is_full)
+    law, states = CompiledControlLaw(grasp, ControlSettings()), make_states(grasp, subject)
     memory = law.initial_memory()
 
     def step(i: int) -> float:
@@ -145,8 +153,8 @@ def measure(subject: Subject, rounds: int) -> tuple[str, ...]:
     grasp = allegro_grasp()
     plain, authenticated = (Served(grasp, subject, each) for each in (False, True))
     parts = {
-        "step": time_steps(grasp, subject.is_full),
-        "compiled": time_compiled_steps(grasp, subject.is_full),
+        "step": time_steps(grasp, subject),
+        "compiled": time_compiled_steps(grasp, subject),
         "plain": plain.time_state,
         "codes": authenticated.time_state,
     }

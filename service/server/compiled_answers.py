@@ -1,8 +1,8 @@
 """The usual answers of a stream with exact states, each in one call of C: from the bytes of a state to those of its command.
 
-A state is usual if it has the form of docs/wire.md, in MessagePack also the order of its fields, breaks no rule, and brings no
-torque step above the bound. `ServerStream` answers all others, and hands the memory over to this class and back. The rules are
-those of `StateGuard`, `DesiredGuard` and `TorqueStepLimit`, which give their numbers.
+A state is usual if it has the form of docs/wire.md, in MessagePack also the order of its fields, and breaks no rule.
+`ServerStream` answers all others, and hands the memory over to this class and back. The rules are those of `StateGuard`,
+`DesiredGuard` and `TorqueStepLimit`, which give their numbers.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from graspforce.core.constants import LARGEST_DISTANCE
 from graspforce.service.server.desired_motion import DesiredGuard
 from graspforce.service.server.exact_control import ExactControl, Warn
 from graspforce.service.server.plausibility import LONGEST_GAP, StateGuard
-from graspforce.service.server.torque_step import TorqueStepLimit
+from graspforce.service.server.torque_step import TorqueStepLimit, torque_step_warning
 from graspforce.service.wire import protocol
 from graspforce.service.wire.control_records import StreamSetup
 from graspforce.service.wire.stream_state import STACKED_NUMBERS, block_layout, msgpack_from_json, usual_range
@@ -148,8 +148,13 @@ class CompiledAnswers:
         """Return the `StreamStep` in C of this stream, with the solver of a `WholeStep`."""
         contacts = self._setup.grasp.contacts
         arrays = (np.array(each, dtype=float) for each in (self._rules, self._torque_step.largest, contacts.mu))
+
+        def find_warnings(creep: bytes, gap: bytes, q: bytes, excess: float) -> tuple[str, ...]:
+            of_step = warn(np.frombuffer(creep), np.frombuffer(gap), np.frombuffer(q))
+            return (*of_step, torque_step_warning(excess)) if excess > 1.0 else of_step
+
         times = self._setup.validity, LONGEST_GAP, time.perf_counter
-        return compiled.whole_step.StreamStep(step, *arrays, *times, lambda *parts: warn(*map(np.frombuffer, parts)))
+        return compiled.whole_step.StreamStep(step, *arrays, *times, find_warnings)
 
 
 def _stack_rules(n: int, guard: StateGuard, desired_guard: DesiredGuard) -> Array:

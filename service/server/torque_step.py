@@ -25,6 +25,15 @@ def largest_step(grasp: Grasp, fraction: float) -> Array:
     return fraction * 0.5 * (grasp.hand.torque_upper - grasp.hand.torque_lower)
 
 
+def torque_step_warning(excess: float) -> str:
+    """Return the warning of a limited torque step.
+
+    Args:
+        excess: the computed step over its bound.
+    """
+    return f"torque step limited to 1/{excess:.3g} of the computed one"
+
+
 def _step_ratio(tau: Array | bytes, last: Array | bytes, step: Array) -> float:
     """Return the largest change of a torque over its largest allowed one."""
     if native is not None:
@@ -65,7 +74,7 @@ class TorqueStepLimit:
                 last = to_array(self.last)
                 tau = last + (to_array(tau) - last) / excess
                 record.torque = tau.tolist() if isinstance(given, list) else tau.tobytes()
-                record.warnings = (*record.warnings, f"torque step limited to 1/{excess:.3g} of the computed one")
+                record.warnings = (*record.warnings, torque_step_warning(excess))
                 if isinstance(record, CommandRecord):
                     self._limit_drives(record, tau, state)
         self.last = tau

@@ -47,11 +47,11 @@ def encode_state(state: GraspState, desired: BodyMotion, external: np.ndarray | 
     return msgspec.msgpack.encode(record, enc_hook=lambda array: write(np.array(array, dtype=float)))
 
 
-def stream_arguments(law: compiled_control_law.CompiledControlLaw) -> tuple[object, ...]:
-    """Return the arguments of a StreamStep with wide rules, but its warnings."""
+def stream_arguments(law: compiled_control_law.CompiledControlLaw, torque_step: float = np.inf) -> tuple[object, ...]:
+    """Return the arguments of a StreamStep with wide rules and a bound of the torque's step in N·m, but its warnings."""
     n = law.grasp.hand.n
-    rules, free = np.repeat([[0.0], [1e6], [np.inf], [np.inf]], 5 * n + 48, axis=1), np.full(n, np.inf)
-    return law._whole_step, rules, free, np.array(law.grasp.contacts.mu), 0.02, 0.01, time.perf_counter
+    rules, largest = np.repeat([[0.0], [1e6], [np.inf], [np.inf]], 5 * n + 48, axis=1), np.full(n, torque_step)
+    return law._whole_step, rules, largest, np.array(law.grasp.contacts.mu), 0.02, 0.01, time.perf_counter
 
 
 def memory_after_a_step(law: compiled_control_law.CompiledControlLaw, creep: float = 0.0) -> bytes:
@@ -68,7 +68,7 @@ def check_answers(law: compiled_control_law.CompiledControlLaw, rng: np.random.G
     """Answer usual states, odd ones and spoiled bytes; return how many are answered. Check that wrong arguments are not."""
     grasp, n = law.grasp, law.grasp.hand.n
     make, fixed = compiled_control_law.whole_step.StreamStep, stream_arguments(law)
-    step, last = make(*fixed, lambda *parts: tuple(f"{len(part)} bytes" for part in parts)), memory_after_a_step(law)
+    step, last = make(*fixed, lambda *parts: tuple(map(repr, parts))), memory_after_a_step(law)
     rest = BodyMotion(grasp.p_HO, grasp.R_HO)
     answered = 0
     for i in range(4 * STEPS):
@@ -114,6 +114,10 @@ def check_warnings(law: compiled_control_law.CompiledControlLaw) -> None:
     assert make(lambda *parts: (text,) * 3).answer(payload, 0.0, slipped)[0].count(text.encode()) == 3
     assert make(None).answer(payload, 0.0, slipped) is None
     assert make(None).answer(payload, 0.0, usual) is not None
+    limited = compiled_control_law.whole_step.StreamStep(*stream_arguments(law, 1e-6), lambda *parts: (f"{parts[-1] > 1.0}",))
+    command = msgspec.msgpack.decode(limited.answer(payload, 0.0, usual)[0])  # after torques of zero
+    assert command["warnings"] == ["True"]
+    assert max(map(abs, np.frombuffer(command["torque"]))) < 1.001e-6
 
 
 def check_refusals(law: compiled_control_law.CompiledControlLaw) -> None:
