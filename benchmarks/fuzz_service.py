@@ -82,6 +82,9 @@ _VALUES: tuple[Any, ...] = (
         [1e308] * 3,
         [[0.0] * 3] * 3,
         [[1, 0, 0], [0, 1, 0], [0, 0, -1]],
+        [[0.0], 0.0],  # ragged
+        [[0.0], [0.0, 0.0]],
+        [True, [True]],
     ),
     *("sphere", "box", "finger_1", "straight", "spline", "free", "fingers", "path", "soft", "frictionless"),
 )
@@ -167,7 +170,7 @@ def code_of(reply: Reply) -> str:
 
 @cache
 def wire_examples() -> tuple[tuple[str, str, Any], ...]:
-    """Return kind, key and record of each request of ``docs/wire.md``, and moves of the other methods."""
+    """Return kind, key and record of requests: those of ``docs/wire.md``, other moves, and states with conditions."""
     found = [(kind, key, json.loads(text)) for kind, key, text in _EXAMPLE.findall(WIRE_PAGE.read_text())]
     [path] = [record for _, key, record in found if key.endswith("/plan")]
     start = path["posture"]
@@ -187,7 +190,14 @@ def wire_examples() -> tuple[tuple[str, str, Any], ...]:
         {"method": "fingers", "postures": [start, goal, start], "intervals": 4, "collisions": {"margin": 2e-3}},
     ]
     del moves[0]["way"]
-    return (*found, *(("query", f"hands/{HAND}/plan", move) for move in moves))
+    conditions = {"slipping": [True] + [False] * 3, "friction": [0.5] * 4, "lost": ["finger_4"], "touching": [True] * 4}
+    states = [
+        (key, {**record, "conditions": conditions}) for kind, key, record in found if kind == "state" and "desired" in record
+    ]
+    return (
+        *(*found, *(("query", f"hands/{HAND}/plan", move) for move in moves)),
+        *(("state", key, record) for key, record in states if "state" in record or "measurement" in record),
+    )
 
 
 def mutated_payloads(seed: int, count: int) -> Iterator[Payload]:

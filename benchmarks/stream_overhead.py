@@ -1,30 +1,43 @@
 """Server time of a control stream without Zenoh, over its control step: `python -m benchmarks.stream_overhead`.
 
 A state goes from bytes through decoding, plausibility, control step and bound of the torque's step to the bytes of the
-command, as in the server. Two control steps on the same states stand beside it, in the same process: `ObjectController.step`,
-the reference in Python, and `CompiledControlLaw.step`, which streams with exact states use. All take turns in bursts at 1 kHz,
-so that a drift of the machine's speed and cold caches affect them equally. The ratios are those of the medians over both
-steps. With authentication, the code of the state is checked and the command is signed, too: clients of this package do so.
+command, as in the server. Two control steps on the same states stand beside it, in the same process: that of the reference,
+`ObjectController.step`, and that with `CompiledControlLaw`, which streams use. All take turns in bursts at 1 kHz, so that a
+drift of the machine's speed and cold caches affect them equally. The ratios are those of the medians over both steps. With
+authentication, the code of the state is checked and the command is signed, too: clients of this package do so.
 
 The Allegro hand holds a sphere with three fingers. Clients of this package send binary arrays. "All fields" adds desired joint
 motions and an external wrench. "Sensor noise" adds 0.3 mrad to the joint positions and 0.3 mm to the object's position
-(standard deviations): most commands then warn of slip.
+(standard deviations): most commands then warn of slip. "Measured" are streams with sensors: encoders with 0.1 mrad of noise,
+poses of the object from a camera at 100 Hz, and in the last row forces of the fingertips. Their control step is
+`OutputFeedbackController.step`, with its estimator.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from benchmarks import report_page
 from benchmarks.control_stream import allegro_grasp, state_sequence
 from graspforce.contact.motion import BodyMotion
-from graspforce.control import ControlSettings, DesiredMotion, GraspMotion, GraspState, ObjectController
+from graspforce.control import (
+    ControlSettings,
+    DesiredMotion,
+    GraspMotion,
+    GraspState,
+    ObjectController,
+    OutputFeedbackController,
+)
 from graspforce.control.compiled_control_law import CompiledControlLaw
+from graspforce.control.output_feedback_law import OutputFeedbackLaw
+from graspforce.core.arrays import Array
+from graspforce.estimation import CameraModel, Measurement, PoseMeasurement, SensorModel
 from graspforce.grasp.grasp import Grasp
 from graspforce.service import StreamSetup, StreamState
 from graspforce.service.server.server_stream import ServerStream
@@ -47,6 +60,7 @@ class Subject(NamedTuple):
         is_binary: whether its arrays are binary.
         codec: its encoding.
         noise: standard deviation of the measured joint positions and of the object's position, rad and m.
+        sensors: sensors of a stream of measurements; None for exact states.
     """
 
     name: str
@@ -54,32 +68,58 @@ class Subject(NamedTuple):
     is_binary: bool
     codec: str
     noise: float = 0.0
+    sensors: SensorModel | None = None
 
 
+ENCODERS = SensorModel(encoder_noise=1e-4, camera=CameraModel(rate=100.0, latency=0.01))
+TIP_FORCES = replace(ENCODERS, tip_force_noise=0.05)
 SUBJECTS = (
     Subject("MessagePack, binary arrays", False, True, protocol.MSGPACK),
     Subject("MessagePack, binary arrays, all fields", True, True, protocol.MSGPACK),
     Subject("MessagePack, binary arrays, sensor noise", False, True, protocol.MSGPACK, noise=3e-4),
     Subject("MessagePack, lists", False, False, protocol.MSGPACK),
     Subject("JSON", False, False, protocol.JSON),
+    Subject("measured: MessagePack, binary arrays", False, True, protocol.MSGPACK, sensors=ENCODERS),
+    Subject("measured: MessagePack, lists", False, False, protocol.MSGPACK, sensors=ENCODERS),
+    Subject("measured: JSON", False, False, protocol.JSON, sensors=ENCODERS),
+    Subject("measured, with forces: MessagePack, binary arrays", False, True, protocol.MSGPACK, sensors=TIP_FORCES),
 )
+_CAMERA_PERIOD = 10  # states
 
 
 def make_states(grasp: Grasp, subject: Subject) -> list[StreamState]:
-    """Return the states of a burst."""
+    """Return the states of a burst, measurements with the times from its begin."""
     rest, states, rng = np.zeros(grasp.hand.n), [], np.random.default_rng(0)
+    wrench = tip_wrenches(grasp)
     for i, (exact, motion) in enumerate(state_sequence(grasp, BURST)):
         body, noise = exact.object, subject.noise
         body = BodyMotion(body.p_HO + noise * rng.normal(size=3), body.R_HO, body.twist)
-        state = GraspState(exact.q + noise * rng.normal(size=grasp.hand.n), exact.v, body)
+        state: GraspState | Measurement = GraspState(exact.q + noise * rng.normal(size=grasp.hand.n), exact.v, body)
+        if subject.sensors is not None:
+            noisy = wrench + subject.sensors.tip_force_noise * rng.normal(size=wrench.shape) if has_forces(subject) else None
+            pose = PoseMeasurement(PERIOD * (i - 10), exact.object.p_HO, exact.object.R_HO) if i % _CAMERA_PERIOD == 0 else None
+            state = Measurement(PERIOD * i, exact.q, tip_wrench=noisy, object=pose)
         desired: DesiredMotion = GraspMotion(motion, grasp.q, rest, rest) if subject.is_full else motion
         states.append(StreamState(i, 0.0, state, desired, np.full(6, 1e-3) if subject.is_full else None))
     return states
 
 
+def has_forces(subject: Subject) -> bool:
+    """Return whether the fingertips of a subject measure forces."""
+    return subject.sensors is not None and subject.sensors.tip_force_noise is not None
+
+
+def tip_wrenches(grasp: Grasp) -> Array:
+    """Return force and moment of each finger on the object at rest, (N, 6) in H, N and N·m."""
+    rest = BodyMotion(grasp.p_HO, grasp.R_HO)
+    command = ObjectController(grasp).step(GraspState(grasp.q, np.zeros(grasp.hand.n), rest), rest)
+    f = grasp.contacts.pad(command.f)[:, :3, None]  # (N, 3, 1) in the contact frames, N
+    return np.hstack([(grasp.R_HO @ grasp.contacts.R_OC @ f)[:, :, 0], np.zeros((len(f), 3))])
+
+
 def encode(state: StreamState, subject: Subject) -> bytes:
     """Return the payload of a state."""
-    return state.encode(subject.codec) if subject.is_binary else protocol.encode(state.to_dict(), subject.codec)
+    return state.encode(subject.codec, binary=subject.is_binary)
 
 
 class Served:
@@ -92,7 +132,8 @@ class Served:
     """
 
     def __init__(self, grasp: Grasp, subject: Subject, authenticated: bool) -> None:
-        self._stream = ServerStream("benchmark", StreamSetup(grasp, authenticated=authenticated))
+        setup = StreamSetup(grasp, authenticated=authenticated, sensors=subject.sensors)
+        self._stream = ServerStream("benchmark", setup)
         self._signer = MessageSigner(self._stream.key, STATE) if self._stream.key else None
         self._subject, self._states, self._sequence = subject, make_states(grasp, subject), 0
         self.bytes_in = self.bytes_out = 0
@@ -114,35 +155,53 @@ class Served:
 
 
 def replace_time(state: StreamState, sequence: int) -> StreamState:
-    """Return a state with another number, sent now."""
-    return StreamState(sequence, time.monotonic(), state.state, state.desired, state.external)
+    """Return a state with another number, sent now. A measurement gets the time of the number."""
+    now = state.state
+    if isinstance(now, Measurement):
+        now = at_time(now, PERIOD * sequence)
+    return StreamState(sequence, time.monotonic(), now, state.desired, state.external)
 
 
-def time_steps(grasp: Grasp, subject: Subject) -> Callable[[int], float]:
-    """Return a function that returns the time of a control step of the reference, s."""
-    controller, states = ObjectController(grasp), make_states(grasp, subject)
+def at_time(measured: Measurement, t: float) -> Measurement:
+    """Return a measurement at another time, s, with its pose."""
+    pose = measured.object
+    return replace(measured, t=t, object=None if pose is None else replace(pose, t=pose.t - measured.t + t))
 
-    def step(i: int) -> float:
-        state = states[i]
-        assert isinstance(state.state, GraspState)
-        begun = time.perf_counter()
-        controller.step(state.state, state.desired, state.external)
-        return time.perf_counter() - begun
+
+def make_reference_step(grasp: Grasp, sensors: SensorModel | None) -> Callable[[StreamState], object]:
+    """Return a function that takes a control step of the reference in Python."""
+    settings = ControlSettings()
+    controller: Any = ObjectController(grasp, settings)
+    if sensors is not None:
+        controller = OutputFeedbackController(grasp, settings, sensors)
+    return lambda state: controller.step(state.state, state.desired, state.external)
+
+
+def make_compiled_step(grasp: Grasp, sensors: SensorModel | None) -> Callable[[StreamState], object]:
+    """Return a function that takes a control step of the law of streams."""
+    settings = ControlSettings()
+    law: Any = CompiledControlLaw(grasp, settings)
+    if sensors is not None:
+        law = OutputFeedbackLaw(grasp, settings, sensors, law_type=CompiledControlLaw)
+    memory = law.initial_memory()
+
+    def step(state: StreamState) -> None:
+        nonlocal memory
+        memory = law.step(memory, state.state, state.desired, state.external)[-1]  # the last part of the result
 
     return step
 
 
-def time_compiled_steps(grasp: Grasp, subject: Subject) -> Callable[[int], float]:
-    """Return a function that returns the time of a control step of the law of streams, s."""
-    law, states = CompiledControlLaw(grasp, ControlSettings()), make_states(grasp, subject)
-    memory = law.initial_memory()
+def time_steps(take: Callable[[StreamState], object], states: list[StreamState]) -> Callable[[int], float]:
+    """Return a function that returns the time of a control step, s."""
+    sequence = 0
 
     def step(i: int) -> float:
-        nonlocal memory
-        state = states[i]
-        assert isinstance(state.state, GraspState)
+        nonlocal sequence
+        sequence += 1
+        state = replace_time(states[i], sequence)
         begun = time.perf_counter()
-        _, memory = law.step(memory, state.state, state.desired, state.external)
+        take(state)
         return time.perf_counter() - begun
 
     return step
@@ -151,10 +210,11 @@ def time_compiled_steps(grasp: Grasp, subject: Subject) -> Callable[[int], float
 def measure(subject: Subject, rounds: int) -> tuple[str, ...]:
     """Return the row of a kind of state."""
     grasp = allegro_grasp()
+    states = make_states(grasp, subject)
     plain, authenticated = (Served(grasp, subject, each) for each in (False, True))
     parts = {
-        "step": time_steps(grasp, subject),
-        "compiled": time_compiled_steps(grasp, subject),
+        "step": time_steps(make_reference_step(grasp, subject.sensors), states),
+        "compiled": time_steps(make_compiled_step(grasp, subject.sensors), states),
         "plain": plain.time_state,
         "codes": authenticated.time_state,
     }

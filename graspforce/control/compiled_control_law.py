@@ -1,8 +1,8 @@
 """Control law whose usual steps are one call of C (`csrc/include/graspforce/controller.h`).
 
 A step is usual if its forces keep the slip margin of the settings, if every twist of the object is feasible, and if no contact
-changes, slips or loses its drives. All other steps, and hands, contacts and settings that the C code does not support, are
-those of `ObjectControlLaw`, the reference implementation. The results are equal to the accuracy of the force solver.
+changes, loses its drives, or slips by the conditions. All other steps, and hands, contacts and settings that the C code does
+not support, are those of `ObjectControlLaw`, the reference implementation. Results are equal to the accuracy of the solver.
 
 A control loop waits between its steps, and the caches of the processor get cold. One call of C then needs far less memory and
 time than the many calls of a step in Python.
@@ -78,8 +78,11 @@ class CompiledControlLaw(ObjectControlLaw):
     ) -> tuple[Command, ControlMemory]:
         """Compute the command for the next period, and the memory for the next step, as `ObjectControlLaw.step`."""
         self._pause = max(self._pause - 1, 0)
-        if self._whole_step is not None and conditions is None and self._pause == 0 and _is_usual(memory):
-            found = self._take_whole_step(memory, state, desired, external)
+        is_plain = conditions is None or not conditions.affects_forces
+        if self._whole_step is not None and is_plain and self._pause == 0 and _is_usual(memory):
+            if conditions is not None:
+                conditions.check(self.grasp)
+            found = self._take_whole_step(memory, state, desired, external, conditions)
             if found is None:
                 self._pause = _PAUSE
             elif self._is_warm:
@@ -98,18 +101,24 @@ class CompiledControlLaw(ObjectControlLaw):
         is_ready = self._is_warm and self._pause <= 1 and not self._learning.is_active and _is_usual(memory)
         return self._whole_step if is_ready else None
 
-    def warnings(self, creep: Array, gap: Array, q: Array) -> tuple[str, ...]:
+    def warnings(self, creep: Array, gap: Array, q: Array, conditions: ContactConditions | None = None) -> tuple[str, ...]:
         """Return the warnings of a usual step.
 
         Args:
             creep: (N,) recent sliding distances of the contacts, m.
             gap: (N,) distances of the fingertips from the surface, m.
             q: (n,) joint positions, rad.
+            conditions: of the contacts in this step; None for as modelled.
         """
-        return (*self._warnings.of_contacts(creep, gap, None), *self._warnings.of_joints(q))
+        return (*self._warnings.of_contacts(creep, gap, conditions), *self._warnings.of_joints(q))
 
     def _take_whole_step(
-        self, memory: ControlMemory, state: GraspState, desired: DesiredMotion, external: npt.ArrayLike | None
+        self,
+        memory: ControlMemory,
+        state: GraspState,
+        desired: DesiredMotion,
+        external: npt.ArrayLike | None,
+        conditions: ContactConditions | None = None,
     ) -> tuple[Command, ControlMemory] | None:
         """Return command and memory of a step in C; None if it finds no certified forces with the full margin."""
         compiled, tips, measured, told = self._compiled, memory.tip_contacts, state.object, desired
@@ -138,7 +147,9 @@ class CompiledControlLaw(ObjectControlLaw):
             block.setflags(write=False)  # commands and memories share their arrays
         (flags, iterations), forces = made, blocks[1]
         targets, result, f = CompiledTargets(compiled, blocks[0], True), compiled.read_result(blocks[2], flags), forces["f"]
-        warnings = self.warnings(result.creep_distance, targets.rolling.gap, state.q) if result.has_warnings else ()
+        warnings: tuple[str, ...] = ()
+        if result.has_warnings or (conditions is not None and conditions.has_evidence):
+            warnings = self.warnings(result.creep_distance, targets.rolling.gap, state.q, conditions)
         integral, factors, sensitivity = result.integral, None, None
         if self._learning.is_active:
             inputs = memory.torque_factors, self.grasp, state, told, targets, result

@@ -57,7 +57,7 @@ class FeedbackControl:
         """
         released = None
         if memory is not None and memory.ramp is not None:
-            released = GraspControl.start(law.law.grasp, law.settings, memory).released
+            released = GraspControl.start(law.law.grasp, law.settings, memory, type(law.law)).released
         return cls(law, law.initial_memory(memory, offset), None, released)
 
     @property

@@ -100,6 +100,7 @@ class OutputFeedbackLaw:
             the latency.
         monitored: whether a monitor estimates contact forces, slip, friction and payload. Default: if the sensors measure
             joint torques or fingertip forces.
+        law_type: type of the control law.
     """
 
     def __init__(
@@ -108,6 +109,7 @@ class OutputFeedbackLaw:
         settings: ControlSettings | None = None,
         sensors: SensorModel | None = None,
         monitored: bool | None = None,
+        law_type: type[ObjectControlLaw] = ObjectControlLaw,
     ) -> None:
         measured = _with_least_noise(SensorModel() if sensors is None else sensors)
         self.sensors = measured.with_delay(grasp.hand.drives.delay)
@@ -115,7 +117,7 @@ class OutputFeedbackLaw:
             base = ControlSettings(period=1.0 / measured.rate)
             settings = ControlSettings.for_sensors(measured, base, drives=grasp.hand.drives).settings
         self.settings = _with_creep_above_noise(settings, grasp, self.sensors)
-        self.law = ObjectControlLaw(grasp, self.settings)
+        self.law = law_type(grasp, self.settings)
         self.estimator = GraspEstimator(grasp, self.sensors, self.settings.period)
         self.monitor: GraspMonitor | None = None
         self._set_grasp(grasp, self.sensors.has_force_sensors if monitored is None else monitored)

@@ -177,7 +177,7 @@ class Stream(CommandStream[RemoteCommand]):
             contacts=changes.pending,
             fingers=None if conditions is None else changes.fingers,
         )
-        self._connection.send(message.encode(self._codec))
+        self._connection.send(message.encode(self._codec, binary=True))
         return sequence
 
     def _send_quickly(self, state: GraspState | Measurement, desired: DesiredMotion, external: npt.ArrayLike | None) -> bool:

@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from graspforce.contact.motion import BodyMotion
-from graspforce.control import ControlSettings, DesiredMotion
+from graspforce.control import ControlSettings, DesiredMotion, ObjectControlLaw
 from graspforce.control.joints.joint_command import JointMotion
 from graspforce.control.joints.joint_controller import JointController
 from graspforce.core import arrays, fields
@@ -197,7 +197,7 @@ class HoldControl:
             self._command, self._start = None, None
             self._has_command.clear()
             self._reference = lambda t: BodyMotion(self._grasp.p_HO, self._grasp.R_HO)
-            self._stream = ServerStream("ros2", self._setup())
+            self._stream = _start_stream(self._setup())
             self.mode = "holding"
 
     def wait_for_command(self, timeout: float) -> bool:
@@ -221,7 +221,7 @@ class HoldControl:
             self.settings = replace(self.settings, slip_margin=arrays.check_number(slip_margin, "slip_margin", minimum=0.0))
             if self.mode == "holding":
                 setup = self._setup()
-                self._stream = ServerStream("ros2", setup if self._command is None else resumed_setup(setup, self._command))
+                self._stream = _start_stream(setup if self._command is None else resumed_setup(setup, self._command))
 
     def follow(self, plan: TimeScaledPlan) -> None:
         """Move the object along a plan that begins at the present grasp, from the next joint state on.
@@ -347,6 +347,11 @@ class _Opening:
         s, ds, dds = minimum_jerk(max(t, 0.0), self._time)
         way = self._q_open - self._q
         return JointMotion(self._q + s * way, ds * way, dds * way)
+
+
+def _start_stream(setup: StreamSetup) -> ServerStream:
+    """Return the stream of a grasp, whose commands are those of `OutputFeedbackController` to rounding."""
+    return ServerStream("ros2", setup, law_type=ObjectControlLaw)
 
 
 def _moved_tip(hand: Hand, finger: str, way: Array, q: Array) -> Array:

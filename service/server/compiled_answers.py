@@ -24,7 +24,8 @@ from graspforce.service.server.plausibility import LONGEST_GAP, StateGuard
 from graspforce.service.server.torque_step import TorqueStepLimit, torque_step_warning
 from graspforce.service.wire import protocol
 from graspforce.service.wire.control_records import StreamSetup
-from graspforce.service.wire.stream_state import STACKED_NUMBERS, block_layout, msgpack_from_json, usual_range
+from graspforce.service.wire.state_block import STACKED_NUMBERS, block_layout, usual_range
+from graspforce.service.wire.state_structs import msgpack_from_json
 
 _PAUSE = 10  # states that are answered in Python from one that was not usual on, because such states follow each other
 _FLOAT_BYTES = 8  # bytes of a float64

@@ -12,6 +12,7 @@ from typing import Any, TypeAlias
 from graspforce.control import Command, ContactConditions, ControlMemory, GraspState
 from graspforce.control.compiled_control_law import CompiledControlLaw
 from graspforce.control.grasp_control import GraspControl
+from graspforce.control.object_control_law import ObjectControlLaw
 from graspforce.core.arrays import Array
 from graspforce.core.compiled import native
 from graspforce.core.errors import InvalidInput
@@ -31,10 +32,16 @@ class ExactControl:
     Args:
         setup: fixed parameters of the stream.
         changes: runs the preparations of changes; None for the thread of all streams of this process.
+        law_type: type of the control law.
     """
 
-    def __init__(self, setup: StreamSetup, changes: Executor | None = None) -> None:
-        self._control = GraspControl.start(setup.grasp, setup.settings, setup.memory, CompiledControlLaw)
+    def __init__(
+        self,
+        setup: StreamSetup,
+        changes: Executor | None = None,
+        law_type: type[ObjectControlLaw] = CompiledControlLaw,
+    ) -> None:
+        self._control = GraspControl.start(setup.grasp, setup.settings, setup.memory, law_type)
         self._hand = setup.grasp.hand
         self._has_drive = not self._hand.drives.is_ideal
         self._has_heat = self._hand.drives.has_thermal_data

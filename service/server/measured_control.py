@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from concurrent.futures import Executor
 
+from graspforce.control.compiled_control_law import CompiledControlLaw
 from graspforce.control.feedback_control import FeedbackControl
+from graspforce.control.object_control_law import ObjectControlLaw
 from graspforce.control.output_feedback_law import OutputFeedbackLaw
 from graspforce.core.errors import InvalidInput
 from graspforce.estimation.measurement import Measurement
@@ -25,10 +27,16 @@ class MeasuredControl:
     Args:
         setup: fixed parameters of the stream.
         changes: runs the preparations of changes; None for the thread of all streams of this process.
+        law_type: type of the control law.
     """
 
-    def __init__(self, setup: StreamSetup, changes: Executor | None = None) -> None:
-        law = OutputFeedbackLaw(setup.grasp, setup.settings, setup.sensors)
+    def __init__(
+        self,
+        setup: StreamSetup,
+        changes: Executor | None = None,
+        law_type: type[ObjectControlLaw] = CompiledControlLaw,
+    ) -> None:
+        law = OutputFeedbackLaw(setup.grasp, setup.settings, setup.sensors, law_type=law_type)
         self._control = FeedbackControl.start(law, setup.memory, setup.offset)
         self._hand = setup.grasp.hand
         self._has_drive = not self._hand.drives.is_ideal

@@ -31,7 +31,7 @@ from graspforce.core.errors import InvalidInput
 from graspforce.estimation.measurement import Measurement
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.hand import Hand
-from graspforce.service.wire.stream_state import STACKED_NUMBERS
+from graspforce.service.wire.state_block import STACKED_NUMBERS
 
 _POSITION_MARGIN, _SLIDE_MARGIN = 0.1, 0.005  # rad, and m for prismatic joints
 _RATE_FACTOR = 3.0  # largest measured rate over the limit of the rate; measured rates are noisy

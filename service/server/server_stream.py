@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 import msgspec
 
+from graspforce.control.compiled_control_law import CompiledControlLaw
 from graspforce.control.object_control_law import ObjectControlLaw
 from graspforce.core.errors import RequestRefused
 from graspforce.core.json_text import JsonRecord
@@ -72,10 +73,18 @@ class ServerStream:
         owner: session of the client that opened it.
         proof: proofs of its client in the request that opened it. Repeated, they prove the opening if its answer got lost.
         changes: runs the preparations of contact changes; None for a thread of the server.
+        law_type: control law of a grasp. Results of laws are equal to the accuracy of the force solver.
     """
 
     def __init__(
-        self, id: str, setup: AnySetup, owner: bytes = b"", proof: object = None, *, changes: Executor | None = None
+        self,
+        id: str,
+        setup: AnySetup,
+        owner: bytes = b"",
+        proof: object = None,
+        *,
+        changes: Executor | None = None,
+        law_type: type[ObjectControlLaw] = CompiledControlLaw,
     ) -> None:
         self.id, self.setup, self.owner = id, setup, owner
         self._claims = tuple(each.encode() for each in _read_proofs(proof))
@@ -83,7 +92,7 @@ class ServerStream:
         self.skipped = self.late = 0
         self.latency = LatencyHistogram()
         self.last_received = time.perf_counter()
-        self._control = _make_control(setup, changes)
+        self._control = _make_control(setup, changes, law_type)
         self.key = make_key() if setup.authenticated else None
         self.epoch = None if setup.authenticated else secrets.token_bytes(_EPOCH_BYTES)
         self._verifier = None if self.key is None else MessageVerifier(self.key, STATE)
@@ -240,13 +249,13 @@ class _Control(Protocol):
         """Return the command for a state."""
 
 
-def _make_control(setup: AnySetup, changes: Executor | None) -> _Control:
+def _make_control(setup: AnySetup, changes: Executor | None, law_type: type[ObjectControlLaw]) -> _Control:
     """Return the controller of a stream."""
     if isinstance(setup, PhaseStreamSetup):
         return PhaseControl(setup)
     if isinstance(setup, JointStreamSetup):
         return JointControl(setup)
-    return ExactControl(setup, changes) if setup.sensors is None else MeasuredControl(setup, changes)
+    return (ExactControl if setup.sensors is None else MeasuredControl)(setup, changes, law_type)
 
 
 def answer_control_request(request: ControlRequest) -> JsonRecord:

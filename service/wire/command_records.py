@@ -15,6 +15,7 @@ import numpy as np
 
 from graspforce.contact.contact import ContactSet
 from graspforce.control import Command, ControlMemory
+from graspforce.control.command import read_step_arrays
 from graspforce.control.drives.drive_commands import DriveCommand, DriveMap
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
@@ -323,17 +324,18 @@ class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=Tr
         """
         write = np.ndarray.tobytes if binary else np.ndarray.tolist
         tips = memory.tip_contacts  # at the present contacts
+        w, acceleration, joint_acceleration, error, slip_margin, uncontrollable, borne = read_step_arrays(command)
         return cls(
             torque=write(command.tau),
             force=write(command.f),
             positions=write(command.contacts.p_OC if tips is None else tips.p_OC),
-            wrench=write(command.w),
-            acceleration=write(command.acceleration),
-            joint_acceleration=write(command.joint_acceleration),
-            pose_error=write(command.error),
-            slip_margin=write(command.slip_margin),
-            uncontrollable=write(command.uncontrollable),
-            borne=write(command.structural_wrench),
+            wrench=write(w),
+            acceleration=write(acceleration),
+            joint_acceleration=write(joint_acceleration),
+            pose_error=write(error),
+            slip_margin=write(slip_margin),
+            uncontrollable=write(uncontrollable),
+            borne=write(borne),
             saturated=command.saturated,
             held=command.forces_reused,
             warnings=command.warnings,

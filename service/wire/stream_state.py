@@ -3,17 +3,15 @@
 In JSON, arrays are lists. In MessagePack each array is a list, or binary: its float64 numbers, little-endian, by rows. If
 `posture` is binary, the arrays of the command are binary too. Binary arrays avoid a Python object for each number.
 
-Decoding exact states has fast paths: compiled code for MessagePack with the fields in their order, and typed structs. Both
+Decoding has fast paths: compiled code for exact states in MessagePack with the fields in their order, and typed structs. Both
 check all numbers together. A state that fails there is read again by `StreamState.from_dict`, which names the invalid field.
-Measurements are always read there.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from functools import cache
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -24,7 +22,6 @@ from graspforce.control.contacts.contact_conditions import ContactConditions
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.compiled import native
-from graspforce.core.constants import LARGEST_DISTANCE
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import unchecked_constructor
@@ -33,16 +30,21 @@ from graspforce.hand.hand import Hand
 from graspforce.service.wire import protocol
 from graspforce.service.wire.change_records import NumberedChange
 from graspforce.service.wire.control_records import read_external
+from graspforce.service.wire.measured_state import read_measured, write_measurement
+from graspforce.service.wire.state_block import block_layout, check_usual, join_state
+from graspforce.service.wire.state_structs import (
+    STATE_DECODERS,
+    GraspStateStruct,
+    JointsStruct,
+    MotionStruct,
+    ObjectStruct,
+    StateStruct,
+)
 
-V = TypeVar("V")  # wire type of a vector
-M = TypeVar("M")  # wire type of a matrix
 _ZEROS = arrays.freeze(np.zeros(6))
 _FLOAT_BYTES = 8  # bytes of a float64
 # Shapes of binary matrices by name; other binary arrays are vectors.
 _MATRIX_SHAPES = {"rotation": (3, 3), "covariance": (6, 6), "tip_wrenches": (-1, 6), "contact_points": (-1, 3)}
-_OBJECT_NUMBERS = 18  # position, rotation and twist of the object
-STACKED_NUMBERS = "measured"
-"""Field of the block of a state: joint positions and rates, and position, rotation and twist of the object."""
 
 
 class StreamState(msgspec.Struct, frozen=True, eq=False):
@@ -88,14 +90,15 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
         except (msgspec.MsgspecError, ValueError, TypeError, RecursionError):  # ValueError: ragged lists, and InvalidInput
             return cls.from_dict(hand, protocol.decode(payload, codec))
 
-    def encode(self, codec: str) -> bytes:
-        """Return the payload, in MessagePack with binary arrays.
+    def encode(self, codec: str, binary: bool | None = None) -> bytes:
+        """Return the payload.
 
         Args:
             codec: `protocol.JSON` or `protocol.MSGPACK`.
+            binary: whether arrays are binary in MessagePack; by default those of exact states, but not those of measurements.
         """
-        is_plain = codec == protocol.JSON or isinstance(self.state, Measurement)
-        return protocol.encode(self.to_dict() if is_plain else _to_binary_record(self), codec)
+        is_binary = codec == protocol.MSGPACK and (isinstance(self.state, GraspState) if binary is None else binary)
+        return protocol.encode(_to_binary_struct(self) if is_binary else self.to_dict(), codec)
 
     @classmethod
     def from_dict(cls, hand: Hand, record: object) -> StreamState:
@@ -151,69 +154,13 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
         return record
 
 
-class _ObjectRecord(msgspec.Struct, Generic[V, M], forbid_unknown_fields=True):
-    position: V
-    rotation: M
-    twist: V
-
-
-class _JointsRecord(msgspec.Struct, Generic[V], forbid_unknown_fields=True):
-    posture: V
-    velocity: V
-    acceleration: V
-
-
-class _MotionRecord(msgspec.Struct, Generic[V, M], forbid_unknown_fields=True, omit_defaults=True):
-    position: V
-    rotation: M
-    twist: V
-    acceleration: V
-    joints: _JointsRecord[V] | None = None
-
-
-class _GraspStateRecord(msgspec.Struct, Generic[V, M], forbid_unknown_fields=True):
-    posture: V
-    velocity: V
-    object: _ObjectRecord[V, M]
-
-
-class _StateRecord(msgspec.Struct, Generic[V, M], forbid_unknown_fields=True, omit_defaults=True):
-    sequence: int
-    time: float
-    state: _GraspStateRecord[V, M]
-    desired: _MotionRecord[V, M]
-    external: V | None = None
-    conditions: dict[str, Any] | None = None
-    contacts: dict[str, Any] | None = None
-
-
-_STATE_DECODERS: dict[str, Any] = {
-    protocol.MSGPACK: msgspec.msgpack.Decoder(_StateRecord[bytes | list[float], bytes | list[list[float]]]),
-    protocol.JSON: msgspec.json.Decoder(_StateRecord[list[float], list[list[float]]]),
-}
-
-_encode_record = msgspec.msgpack.Encoder().encode
-
-
-def msgpack_from_json(payload: bytes) -> bytes | None:
-    """Return an exact state of JSON in MessagePack, with its fields in order; None if it is not an exact state.
-
-    Args:
-        payload: the state in JSON.
-    """
-    try:
-        return _encode_record(_STATE_DECODERS[protocol.JSON].decode(payload))
-    except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError):  # OverflowError: an integer above 64 bits
-        return None
-
-
 _make_motion = unchecked_constructor(BodyMotion)
 _make_grasp_state = unchecked_constructor(GraspState)
 _make_grasp_motion = unchecked_constructor(GraspMotion)
 
 
 def _decode_fast(payload: bytes, codec: str, hand: Hand) -> StreamState:
-    """Return an exact state. Its arrays are views of one block, whose numbers are checked once.
+    """Return a state whose arrays are views of one block, whose numbers are checked once.
 
     Raises:
         ValueError: a number, a shape or a rotation is wrong.
@@ -223,74 +170,45 @@ def _decode_fast(payload: bytes, codec: str, hand: Hand) -> StreamState:
         found = native.read_stream_state(payload, hand.n)
         if found is not None:
             sequence, time, flags, numbers = found
-            _check_usual(numbers)
+            check_usual(numbers)
             binary, has_joints = bool(flags & native.STATE_BINARY), bool(flags & native.STATE_JOINTS)
             state, desired, wrench = _view_block(hand.n, has_joints, bool(flags & native.STATE_EXTERNAL), numbers)
             return StreamState(sequence, time, state, desired, wrench, None, binary)
-    return _state_of(_STATE_DECODERS[codec].decode(payload), hand)
+    return _state_of(STATE_DECODERS[codec].decode(payload), hand)
 
 
-def _check_usual(numbers: bytes) -> None:
-    """Raise ValueError if the numbers of a state may be out of range: then they are read and checked one by one."""
-    if native is not None:
-        is_usual = native.is_plausible_state(numbers, None, 0.0, usual_range(len(numbers) // 8))
-    else:
-        is_usual = np.abs(np.frombuffer(numbers)).max() <= LARGEST_DISTANCE
-    if not is_usual:
-        raise ValueError("a number may be out of range")
-
-
-@cache
-def usual_range(count: int) -> Array:
-    """Return the rules of numbers within the least of all bounds, as `is_plausible_state` in C takes them, (4, count).
-
-    Args:
-        count: number of numbers.
-    """
-    return np.repeat([[0.0], [LARGEST_DISTANCE], [math.inf], [math.inf]], count, axis=1)
-
-
-def _state_of(record: _StateRecord[Any, Any], hand: Hand) -> StreamState:
+def _state_of(record: StateStruct[Any, Any], hand: Hand) -> StreamState:
     """Return the state of a record. Raises ValueError and TypeError as `_decode_fast`."""
-    measured, pose = record.state, record.state.object
-    motion, joints, external = record.desired, record.desired.joints, record.external
-    parts: tuple[Any, ...] = (
-        *(measured.posture, measured.velocity, pose.position, pose.rotation, pose.twist),
-        *(motion.position, motion.rotation, motion.twist, motion.acceleration),
-    )
-    if joints is not None:
-        parts = (*parts, joints.posture, joints.velocity, joints.acceleration)
-    if external is not None:
-        parts = (*parts, external)
-    n, has_joints, has_external = hand.n, joints is not None, external is not None
-    shapes = _part_shapes(n, has_joints, has_external)
-    join = _join_parts if native is None else native.join_stream_state
-    numbers = join(parts, shapes, n)
-    if numbers is None or not (math.isfinite(record.time) and 0 <= record.sequence <= protocol.LARGEST_SEQUENCE):
+    if not (math.isfinite(record.time) and 0 <= record.sequence <= protocol.LARGEST_SEQUENCE):
         raise ValueError("a number is not finite, or out of range")
-    _check_usual(numbers)
-    state, desired, wrench = _view_block(n, has_joints, has_external, numbers)
-    binary = type(measured.posture) is bytes
-    if record.conditions is None and record.contacts is None:
-        return StreamState(record.sequence, record.time, state, desired, wrench, None, binary)
+    exact, measured = record.state, record.measurement
+    state: GraspState | Measurement
+    if exact is not None and measured is None:
+        state, desired, wrench = _read_exact(exact, record.desired, record.external, hand.n)
+        binary = type(exact.posture) is bytes
+    elif measured is not None and exact is None:
+        state, desired, wrench = read_measured(measured, record.desired, record.external, hand.n)
+        binary = type(measured.posture) is bytes
+    else:
+        raise ValueError("neither or both of a state and a measurement")
     conditions, fingers = _read_conditions(record.conditions)
     change = _read_change(record.contacts, hand)
     return StreamState(record.sequence, record.time, state, desired, wrench, conditions, binary, change, fingers)
 
 
-def _join_parts(parts: tuple[Any, ...], shapes: tuple[tuple[int, int], ...], n: int) -> bytes | None:
-    """Return the float64 numbers of a state's arrays; None if one is not finite, or a matrix is no rotation.
-
-    Raises:
-        ValueError: an array has the wrong shape.
-    """
-    joined = b"".join(map(_to_bytes, parts, shapes))
-    numbers = np.frombuffer(joined).tolist()
-    # The sum is finite only if all numbers are. If it overflows, the slow path decides.
-    is_valid = math.isfinite(sum(numbers)) and all(
-        arrays.is_rotation(numbers[start : start + 9]) for start in (2 * n + 3, 2 * n + 21)
+def _read_exact(
+    measured: GraspStateStruct[Any, Any], motion: MotionStruct[Any, Any], external: Any, n: int
+) -> tuple[GraspState, DesiredMotion, Array | None]:
+    """Return the exact state, the desired motion and the external wrench of a state. Raises as `_decode_fast`."""
+    pose, joints = measured.object, motion.joints
+    parts = (
+        *(measured.posture, measured.velocity, pose.position, pose.rotation, pose.twist),
+        *(motion.position, motion.rotation, motion.twist, motion.acceleration),
+        *(() if joints is None else (joints.posture, joints.velocity, joints.acceleration)),
+        *(() if external is None else (external,)),
     )
-    return joined if is_valid else None
+    sizes = n, joints is not None, external is not None
+    return _view_block(*sizes, join_state(parts, *sizes))
 
 
 def _view_block(n: int, has_joints: bool, has_external: bool, numbers: bytes) -> tuple[GraspState, DesiredMotion, Array | None]:
@@ -328,72 +246,27 @@ def _conditions_to_dict(state: StreamState) -> JsonRecord | None:
     return {**state.conditions.to_dict(), **({} if state.fingers is None else {"fingers": list(state.fingers)})}
 
 
-def _block_fields(n: int, joints: bool, external: bool) -> list[tuple[str, tuple[int, ...]]]:
-    """Return the names and shapes of a state's arrays in their order on the wire, for a hand with n joints."""
-    motion = [("p_d", (3,)), ("R_d", (3, 3)), ("twist_d", (6,)), ("acceleration_d", (6,))]
-    shapes: list[tuple[str, tuple[int, ...]]] = [("q", (n,)), ("v", (n,)), ("p_HO", (3,)), ("R_HO", (3, 3)), ("twist", (6,))]
-    shapes += motion
-    shapes += [(name, (n,)) for name in ("q_d", "v_d", "a_d")] if joints else []
-    return [*shapes, ("external", (6,))] if external else shapes
-
-
-@cache
-def _part_shapes(n: int, joints: bool, external: bool) -> tuple[tuple[int, int], ...]:
-    """Return rows and columns of a state's arrays; a vector has one row."""
-    return tuple((1 if len(shape) == 1 else shape[0], shape[-1]) for _, shape in _block_fields(n, joints, external))
-
-
-@cache
-def block_layout(n: int, joints: bool, external: bool) -> np.dtype[np.void]:
-    """Return the layout of a state's numbers. Its field `STACKED_NUMBERS` overlaps the five arrays that were measured.
-
-    Args:
-        n: number of joints.
-        joints: whether the state has desired joint motions.
-        external: whether it has an external wrench.
-    """
-    given = _block_fields(n, joints, external)
-    sizes = [_FLOAT_BYTES * math.prod(shape) for _, shape in given]
-    return np.dtype(
-        {
-            "names": [STACKED_NUMBERS, *(name for name, _ in given)],
-            "formats": [("f8", (2 * n + _OBJECT_NUMBERS,)), *(("f8", shape) for _, shape in given)],
-            "offsets": [0, *(sum(sizes[:i]) for i in range(len(sizes)))],
-            "itemsize": sum(sizes),
-        }
-    )
-
-
-def _to_bytes(values: Any, shape: tuple[int, int]) -> bytes:
-    """Return the float64 bytes of an array: bytes, or a list, with a list for each row of a matrix.
-
-    Raises:
-        ValueError: it has another shape.
-    """
-    if type(values) is bytes:
-        joined = values
-    else:
-        numbers = np.array(values, dtype=np.float64)
-        if numbers.shape not in (shape, shape[1:]) or (numbers.ndim == 2 and shape[0] == 1):
-            raise ValueError("an array has the wrong shape")
-        joined = numbers.tobytes()
-    if len(joined) != _FLOAT_BYTES * math.prod(shape):
-        raise ValueError("an array has the wrong size")
-    return joined
-
-
-def _to_binary_record(state: StreamState) -> _StateRecord[bytes, bytes]:
-    """Return the wire form of an exact state with binary arrays."""
-    assert isinstance(state.state, GraspState)  # encode() has sorted out measurements
-    measured, pose, motion = state.state, state.state.object, object_motion(state.desired)
-    desired = _MotionRecord(motion.p_HO.tobytes(), motion.R_HO.tobytes(), motion.twist.tobytes(), motion.acceleration.tobytes())
+def _to_binary_struct(state: StreamState) -> StateStruct[bytes, bytes]:
+    """Return the wire form of a state with binary arrays."""
+    motion, measured = object_motion(state.desired), state.state
+    desired = MotionStruct(motion.p_HO.tobytes(), motion.R_HO.tobytes(), motion.twist.tobytes(), motion.acceleration.tobytes())
     if isinstance(state.desired, GraspMotion):
-        desired.joints = _JointsRecord(state.desired.q.tobytes(), state.desired.v.tobytes(), state.desired.a.tobytes())
-    body = _ObjectRecord(pose.p_HO.tobytes(), pose.R_HO.tobytes(), pose.twist.tobytes())
-    grasp_state = _GraspStateRecord(measured.q.tobytes(), measured.v.tobytes(), body)
-    external = None if state.external is None else state.external.tobytes()
-    change = None if state.contacts is None else state.contacts.to_dict()
-    return _StateRecord(state.sequence, state.time, grasp_state, desired, external, _conditions_to_dict(state), change)
+        desired.joints = JointsStruct(state.desired.q.tobytes(), state.desired.v.tobytes(), state.desired.a.tobytes())
+    exact = None
+    if isinstance(measured, GraspState):
+        pose = measured.object
+        body = ObjectStruct(pose.p_HO.tobytes(), pose.R_HO.tobytes(), pose.twist.tobytes())
+        exact = GraspStateStruct(measured.q.tobytes(), measured.v.tobytes(), body)
+    return StateStruct(
+        sequence=state.sequence,
+        time=state.time,
+        state=exact,
+        measurement=write_measurement(measured) if isinstance(measured, Measurement) else None,
+        desired=desired,
+        external=None if state.external is None else state.external.tobytes(),
+        conditions=_conditions_to_dict(state),
+        contacts=None if state.contacts is None else state.contacts.to_dict(),
+    )
 
 
 def to_lists(value: Any, name: str = "") -> Any:

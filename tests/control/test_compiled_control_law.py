@@ -194,6 +194,44 @@ def test_steps_without_a_drive_are_those_of_the_reference(finger: str, monkeypat
         assert len(taken) == 5
 
 
+@pytest.mark.parametrize(
+    "conditions",
+    [
+        ContactConditions(slipping=[False] * 3, touching=[True] * 3),
+        ContactConditions(slipping=[False] * 3, touching=[True, False, True]),
+        ContactConditions(touching=[True] * 3),
+    ],
+)
+def test_conditions_that_do_not_affect_the_forces_have_whole_steps(
+    conditions: ContactConditions, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Their warnings are those of the reference."""
+    grasp, settings = named_grasp("allegro_right sphere"), ControlSettings()
+    law, reference = CompiledControlLaw(grasp, settings), ObjectControlLaw(grasp, settings)
+    taken, warnings = count_whole_steps(law, monkeypatch), set()
+    found_memory = memory = reference.initial_memory()
+    for state, desired, external in moving_states(grasp, seed=12):
+        given = conditions if external is None else None  # by turns with steps without conditions
+        found, found_memory = law.step(found_memory, state, desired, external, given)
+        expected, memory = reference.step(memory, state, desired, external, given)
+        assert_equal_commands(found, expected)
+        assert_equal_memories(found_memory, memory)
+        warnings.update(expected.warnings)
+    assert taken == [True] * COUNT
+    assert any("lost contact" in each for each in warnings) == (False in np.ravel(conditions.touching))
+
+
+def test_conditions_of_other_contacts_are_refused() -> None:
+    grasp = named_grasp("allegro_right sphere")
+    law = CompiledControlLaw(grasp, ControlSettings())
+    state, desired, _ = moving_states(grasp, seed=1)[0]
+    for _ in range(2):
+        _, memory = law.step(law.initial_memory(), state, desired)
+    with pytest.raises(InvalidInput) as caught:
+        law.step(memory, state, desired, conditions=ContactConditions(touching=[True]))
+    assert caught.value.field == "touching"
+
+
 def test_changed_contacts_have_whole_steps_before_and_after_the_change(monkeypatch: pytest.MonkeyPatch) -> None:
     grasp, settings = named_grasp("four_finger cylinder"), ControlSettings()
     state = GraspState(grasp.q, np.zeros(grasp.hand.n), BodyMotion(grasp.p_HO, grasp.R_HO))

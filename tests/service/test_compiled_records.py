@@ -17,7 +17,7 @@ from graspforce.service import StreamSetup, StreamState
 from graspforce.service.server import plausibility, torque_step
 from graspforce.service.server.plausibility import Implausible, StateGuard
 from graspforce.service.server.server_stream import ServerStream
-from graspforce.service.wire import protocol
+from graspforce.service.wire import protocol, state_block
 from graspforce.service.wire import stream_state as wire_state
 from graspforce.service.wire.binary_command import BinaryCommand
 from graspforce.service.wire.command_records import CommandRecord
@@ -112,7 +112,8 @@ def test_damaged_states_are_read_or_refused_as_without_compiled_code(joints, ext
     payload, codec = payload_of(joints, external, form, 2)
     damaged = [payload, *mutations(payload, RECORDS.index((joints, external, form)))]
     compiled = [outcome(each, codec) for each in damaged]
-    monkeypatch.setattr(wire_state, "native", None)
+    for module in (wire_state, state_block):
+        monkeypatch.setattr(module, "native", None)
     assert repr([outcome(each, codec) for each in damaged]) == repr(compiled)
     assert 0 < sum(isinstance(each[0], str) for each in compiled) < len(compiled)
 
@@ -150,7 +151,8 @@ def test_odd_values_are_read_or_refused_as_without_compiled_code(path, value, mo
     inner[path[-1]] = value
     payload = protocol.encode(record, MSGPACK)
     compiled = outcome(payload, MSGPACK)
-    monkeypatch.setattr(wire_state, "native", None)
+    for module in (wire_state, state_block):
+        monkeypatch.setattr(module, "native", None)
     assert repr(outcome(payload, MSGPACK)) == repr(compiled)
 
 
@@ -192,7 +194,7 @@ def test_streams_answer_as_without_compiled_records(form, monkeypatch):
         return answers
 
     compiled = run()
-    for module in (wire_state, plausibility, torque_step):
+    for module in (wire_state, state_block, plausibility, torque_step):
         monkeypatch.setattr(module, "native", None)
     monkeypatch.setattr(BinaryCommand, "pack", lambda command, memory: None)
     assert run() == compiled

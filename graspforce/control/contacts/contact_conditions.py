@@ -200,7 +200,10 @@ def _check_flags(flags: Sequence[bool] | Mask | None, name: str) -> Mask | None:
     """Return booleans as an array that cannot be changed."""
     if flags is None:
         return None
-    checked = np.array(flags)
+    try:
+        checked = np.array(flags)
+    except (ValueError, OverflowError):  # ragged lists
+        raise InvalidInput(name, flags, "a list of booleans, one for each contact") from None
     if checked.dtype != np.bool_ or checked.ndim != 1:
         raise InvalidInput(name, flags, "a list of booleans, one for each contact")
     checked.setflags(write=False)
