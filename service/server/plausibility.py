@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from graspforce.control import GraspState
-from graspforce.core.arrays import Array
+from graspforce.core.arrays import Array, freeze
 from graspforce.core.compiled import native
 from graspforce.core.errors import InvalidInput
 from graspforce.estimation.measurement import Measurement
@@ -45,7 +45,7 @@ _LASTING = 0.05  # s, after which a jump is accepted
 _TRUE_BYTE = b"\1"  # NumPy's True in memory
 _SAMPLES = 256  # postures from which the reach is computed
 _REACH_FACTOR = 1.1  # for the postures between them
-_UNKNOWN_POSITION, _UNKNOWN_MOTION = np.full(3, math.nan), np.full(15, math.nan)
+_OBJECT_NUMBERS = 18  # position, rotation and twist of the object
 
 
 class Implausible(InvalidInput):
@@ -215,6 +215,14 @@ def _stack(state: GraspState | Measurement) -> Array:
         if isinstance(shared, np.ndarray) and motion.twist.base is shared and STACKED_NUMBERS in (shared.dtype.names or ()):
             return np.asarray(shared[STACKED_NUMBERS])  # of the wire: all in one block
         return np.concatenate((state.q, state.v, motion.p_HO, motion.R_HO.ravel(), motion.twist))
-    v = np.full(len(state.q), math.nan) if state.v is None else state.v
-    position = _UNKNOWN_POSITION if state.object is None else state.object.p_HO
-    return np.concatenate((state.q, v, position, _UNKNOWN_MOTION))
+    n = len(state.q)
+    if state.v is None and state.object is None:
+        return np.concatenate((state.q, _unknown(n + _OBJECT_NUMBERS)))
+    position = _unknown(3) if state.object is None else state.object.p_HO
+    return np.concatenate((state.q, _unknown(n) if state.v is None else state.v, position, _unknown(_OBJECT_NUMBERS - 3)))
+
+
+@lru_cache(maxsize=64)
+def _unknown(count: int) -> Array:
+    """Return NaN for numbers that are not measured."""
+    return freeze(np.full(count, math.nan))
