@@ -316,6 +316,21 @@ def test_states_with_warnings_are_answered_in_c(codec: str, noise: float, is_at_
     pair.compare_memories()
 
 
+def test_implausible_states_leave_the_start_of_the_solver() -> None:
+    """C attempts these states in vain; the next command is that of a stream which answers in Python, to rounding."""
+    pair, rng = Pair(GRASP), np.random.default_rng(8)
+    q = np.where(np.arange(HAND.n) == 2, HAND.q_upper[2], GRASP.q)  # a jump
+    for i in range(60):
+        state = moving_state(GRASP, i, rng)
+        if i % 20 == 13:
+            state = msgspec.structs.replace(state, state=replace(state.state, q=q))
+        pair.give(state.encode(MSGPACK), PERIOD * i)
+        one, other = (to_array(each._torque_step.last) for each in pair.streams)
+        if pair.streams[0]._answers._memory is None:
+            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
+    assert pair.compiled > 20
+
+
 def test_skipped_and_late_states_are_counted() -> None:
     pair, rng = Pair(GRASP, validity=0.2), np.random.default_rng(2)
     stream = pair.streams[0]
