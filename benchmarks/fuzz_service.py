@@ -191,12 +191,11 @@ def wire_examples() -> tuple[tuple[str, str, Any], ...]:
     ]
     del moves[0]["way"]
     conditions = {"slipping": [True] + [False] * 3, "friction": [0.5] * 4, "lost": ["finger_4"], "touching": [True] * 4}
-    states = [
-        (key, {**record, "conditions": conditions}) for kind, key, record in found if kind == "state" and "desired" in record
-    ]
+    objects = {"streams/my-stream", "streams/my-measurements"}
+    states = [(key, record) for kind, key, record in found if kind == "state" and key in objects]
     return (
         *(*found, *(("query", f"hands/{HAND}/plan", move) for move in moves)),
-        *(("state", key, record) for key, record in states if "state" in record or "measurement" in record),
+        *(("state", key, {**record, "conditions": conditions}) for key, record in states),
     )
 
 

@@ -71,7 +71,8 @@ class Subject(NamedTuple):
     sensors: SensorModel | None = None
 
 
-ENCODERS = SensorModel(encoder_noise=1e-4, camera=CameraModel(rate=100.0, latency=0.01))
+LATENCY = 0.01  # s, of the camera
+ENCODERS = SensorModel(encoder_noise=1e-4, camera=CameraModel(rate=100.0, latency=LATENCY))
 TIP_FORCES = replace(ENCODERS, tip_force_noise=0.05)
 SUBJECTS = (
     Subject("MessagePack, binary arrays", False, True, protocol.MSGPACK),
@@ -92,21 +93,17 @@ def make_states(grasp: Grasp, subject: Subject) -> list[StreamState]:
     rest, states, rng = np.zeros(grasp.hand.n), [], np.random.default_rng(0)
     wrench = tip_wrenches(grasp)
     for i, (exact, motion) in enumerate(state_sequence(grasp, BURST)):
-        body, noise = exact.object, subject.noise
-        body = BodyMotion(body.p_HO + noise * rng.normal(size=3), body.R_HO, body.twist)
-        state: GraspState | Measurement = GraspState(exact.q + noise * rng.normal(size=grasp.hand.n), exact.v, body)
+        body, sigma = exact.object, subject.noise
+        body = BodyMotion(body.p_HO + sigma * rng.normal(size=3), body.R_HO, body.twist)
+        state: GraspState | Measurement = GraspState(exact.q + sigma * rng.normal(size=grasp.hand.n), exact.v, body)
         if subject.sensors is not None:
-            noisy = wrench + subject.sensors.tip_force_noise * rng.normal(size=wrench.shape) if has_forces(subject) else None
-            pose = PoseMeasurement(PERIOD * (i - 10), exact.object.p_HO, exact.object.R_HO) if i % _CAMERA_PERIOD == 0 else None
-            state = Measurement(PERIOD * i, exact.q, tip_wrench=noisy, object=pose)
+            noise, t = subject.sensors.tip_force_noise, PERIOD * i
+            noisy = None if noise is None else wrench + noise * rng.normal(size=wrench.shape)
+            pose = PoseMeasurement(t - LATENCY, exact.object.p_HO, exact.object.R_HO) if i % _CAMERA_PERIOD == 0 else None
+            state = Measurement(t, exact.q, tip_wrench=noisy, object=pose)
         desired: DesiredMotion = GraspMotion(motion, grasp.q, rest, rest) if subject.is_full else motion
         states.append(StreamState(i, 0.0, state, desired, np.full(6, 1e-3) if subject.is_full else None))
     return states
-
-
-def has_forces(subject: Subject) -> bool:
-    """Return whether the fingertips of a subject measure forces."""
-    return subject.sensors is not None and subject.sensors.tip_force_noise is not None
 
 
 def tip_wrenches(grasp: Grasp) -> Array:
@@ -117,31 +114,28 @@ def tip_wrenches(grasp: Grasp) -> Array:
     return np.hstack([(grasp.R_HO @ grasp.contacts.R_OC @ f)[:, :, 0], np.zeros((len(f), 3))])
 
 
-def encode(state: StreamState, subject: Subject) -> bytes:
-    """Return the payload of a state."""
-    return state.encode(subject.codec, binary=subject.is_binary)
-
-
 class Served:
-    """A stream of a subject, and its states.
+    """A stream of a subject.
 
     Args:
         grasp: the grasp.
         subject: the kind of state.
+        states: the states of a burst.
         authenticated: whether the messages have codes.
     """
 
-    def __init__(self, grasp: Grasp, subject: Subject, authenticated: bool) -> None:
+    def __init__(self, grasp: Grasp, subject: Subject, states: list[StreamState], authenticated: bool) -> None:
         setup = StreamSetup(grasp, authenticated=authenticated, sensors=subject.sensors)
         self._stream = ServerStream("benchmark", setup)
         self._signer = MessageSigner(self._stream.key, STATE) if self._stream.key else None
-        self._subject, self._states, self._sequence = subject, make_states(grasp, subject), 0
+        self._subject, self._states, self._sequence = subject, states, 0
         self.bytes_in = self.bytes_out = 0
 
     def time_state(self, i: int) -> float:
         """Return the time from the bytes of a state to those of its command, s."""
         self._sequence += 1
-        payload = encode(replace_time(self._states[i], self._sequence), self._subject)
+        state = replace_time(self._states[i], self._sequence)
+        payload = state.encode(self._subject.codec, binary=self._subject.is_binary)
         code = b"" if self._signer is None else self._signer.sign(payload)
         begun = time.perf_counter()
         is_accepted = self._stream.accepts(payload, code)
@@ -211,7 +205,7 @@ def measure(subject: Subject, rounds: int) -> tuple[str, ...]:
     """Return the row of a kind of state."""
     grasp = allegro_grasp()
     states = make_states(grasp, subject)
-    plain, authenticated = (Served(grasp, subject, each) for each in (False, True))
+    plain, authenticated = (Served(grasp, subject, states, each) for each in (False, True))
     parts = {
         "step": time_steps(make_reference_step(grasp, subject.sensors), states),
         "compiled": time_steps(make_compiled_step(grasp, subject.sensors), states),

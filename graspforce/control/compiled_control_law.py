@@ -1,8 +1,9 @@
 """Control law whose usual steps are one call of C (`csrc/include/graspforce/controller.h`).
 
-A step is usual if its forces keep the slip margin of the settings, if every twist of the object is feasible, and if no contact
-changes, loses its drives, or slips by the conditions. All other steps, and hands, contacts and settings that the C code does
-not support, are those of `ObjectControlLaw`, the reference implementation. Results are equal to the accuracy of the solver.
+A step is usual if its forces keep the slip margin of the settings, if every twist of the object is feasible, if no contact is
+changing, and if the conditions of the contacts do not affect the forces. All other steps, and hands, contacts and settings that
+the C code does not support, are those of `ObjectControlLaw`, the reference implementation. The results are equal to the
+accuracy of the force solver.
 
 A control loop waits between its steps, and the caches of the processor get cold. One call of C then needs far less memory and
 time than the many calls of a step in Python.
@@ -101,17 +102,6 @@ class CompiledControlLaw(ObjectControlLaw):
         is_ready = self._is_warm and self._pause <= 1 and not self._learning.is_active and _is_usual(memory)
         return self._whole_step if is_ready else None
 
-    def warnings(self, creep: Array, gap: Array, q: Array, conditions: ContactConditions | None = None) -> tuple[str, ...]:
-        """Return the warnings of a usual step.
-
-        Args:
-            creep: (N,) recent sliding distances of the contacts, m.
-            gap: (N,) distances of the fingertips from the surface, m.
-            q: (n,) joint positions, rad.
-            conditions: of the contacts in this step; None for as modelled.
-        """
-        return (*self._warnings.of_contacts(creep, gap, conditions), *self._warnings.of_joints(q))
-
     def _take_whole_step(
         self,
         memory: ControlMemory,
@@ -149,7 +139,7 @@ class CompiledControlLaw(ObjectControlLaw):
         targets, result, f = CompiledTargets(compiled, blocks[0], True), compiled.read_result(blocks[2], flags), forces["f"]
         warnings: tuple[str, ...] = ()
         if result.has_warnings or (conditions is not None and conditions.has_evidence):
-            warnings = self.warnings(result.creep_distance, targets.rolling.gap, state.q, conditions)
+            warnings = self.warnings.of_step(result.creep_distance, targets.rolling.gap, state.q, conditions)
         integral, factors, sensitivity = result.integral, None, None
         if self._learning.is_active:
             inputs = memory.torque_factors, self.grasp, state, told, targets, result

@@ -68,6 +68,11 @@ class ObjectControlLaw:
 
     The law is stateless except for the warm starts of its solvers, which affect speed only. `ObjectController` adds the memory.
 
+    Attributes:
+        grasp: hand, object and contacts.
+        settings: gains, margins, gravity and limits.
+        warnings: warnings of contacts and joints.
+
     Args:
         grasp: hand, object and contacts.
         settings: gains, margins, gravity and limits.
@@ -103,7 +108,7 @@ class ObjectControlLaw:
         if settings.clearance_steps:
             self._clearance.prepare()
         drive_margin, self._integral_limits = self._allow_for_drives()
-        self._planner, self._warnings = ForcePlanner(grasp, settings, drive_margin), StepWarnings(grasp, settings)
+        self._planner, self.warnings = ForcePlanner(grasp, settings, drive_margin), StepWarnings(grasp, settings)
         friction = settings.friction
         self._friction = None if friction is None else GraspFriction(grasp, settings, friction, self._constraints)
         if native is not None and primitive_parameters(grasp.body.shape) is not None:
@@ -219,8 +224,7 @@ class ObjectControlLaw:
             factors, integral, sensitivity = self._learning.step(memory.torque_factors, grasp, state, told, targets, made)
             integral = limit_integral(integral, self._gains[2], self._integral_limits)
         if result.has_warnings or (conditions is not None and conditions.has_evidence):
-            warnings += self._warnings.of_contacts(result.creep_distance, targets.rolling.gap, conditions)
-            warnings += self._warnings.of_joints(state.q)
+            warnings += self.warnings.of_step(result.creep_distance, targets.rolling.gap, state.q, conditions)
         if targets.uncontrollable_error is not None:
             warnings += uncontrollable_warning(targets.uncontrollable_error)
         constraints, twist = self._constraints_with(plan.lost), object_motion(desired).twist

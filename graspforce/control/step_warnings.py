@@ -24,6 +24,17 @@ class StepWarnings:
         self._grasp, self._creep_limit, self._contact_tolerance = grasp, settings.creep_limit, settings.contact_tolerance
         self._joints = sorted({joint for name in grasp.fingers for joint in grasp.hand.finger(name).joints})
 
+    def of_step(self, creep: Array, gap: Array, q: Array, conditions: ContactConditions | None = None) -> tuple[str, ...]:
+        """Return the warnings of the contacts and of the joints.
+
+        Args:
+            creep: as in `of_contacts`, m.
+            gap: as in `of_contacts`, m.
+            q: as in `of_joints`, rad.
+            conditions: as in `of_contacts`.
+        """
+        return (*self.of_contacts(creep, gap, conditions), *self.of_joints(q))
+
     def of_contacts(self, creep: Array, gap: Array, conditions: ContactConditions | None) -> list[str]:
         """Return a warning for each finger that slips or has lost contact.
 

@@ -1,8 +1,8 @@
 """The usual answers of a stream with exact states, each in one call of C: from the bytes of a state to those of its command.
 
-A state is usual if it has the form of docs/wire.md, in MessagePack also the order of its fields, and breaks no rule.
-`ServerStream` answers all others, and hands the memory over to this class and back. The rules are those of `StateGuard`,
-`DesiredGuard` and `TorqueStepLimit`, which give their numbers.
+A state is usual if it has the form of docs/wire.md, in MessagePack also the order of its fields, breaks no rule, and has
+certified forces with the full slip margin. `ServerStream` answers all others, and hands the memory over to this class and back.
+The rules are those of `StateGuard`, `DesiredGuard` and `TorqueStepLimit`, which give their numbers.
 """
 
 from __future__ import annotations
@@ -28,7 +28,6 @@ from graspforce.service.wire.state_block import STACKED_NUMBERS, block_layout, u
 from graspforce.service.wire.state_structs import msgpack_from_json
 
 _PAUSE = 10  # states that are answered in Python from one that was not usual on, because such states follow each other
-_FLOAT_BYTES = 8  # bytes of a float64
 
 _decode_msgpack, _encode_json = msgspec.msgpack.Decoder().decode, msgspec.json.Encoder().encode
 
@@ -161,7 +160,7 @@ class CompiledAnswers:
 def _stack_rules(n: int, guard: StateGuard, desired_guard: DesiredGuard) -> Array:
     """Return the rules of all numbers of a state with n joints, (4, 5 n + 48), as `StreamStep` in C takes them."""
     layout = block_layout(n, joints=True, external=True)
-    rules: Array = usual_range(layout.itemsize // _FLOAT_BYTES).copy()
+    rules: Array = usual_range(layout.itemsize // protocol.FLOAT_BYTES).copy()
     rows = rules.view(layout)[:, 0]
     rows[STACKED_NUMBERS] = guard.rules
     rows["p_d"], rows["twist_d"] = desired_guard.position.rules, desired_guard.twist.rules

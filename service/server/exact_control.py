@@ -23,7 +23,7 @@ from graspforce.service.wire.command_records import ClearanceRecord, CommandReco
 from graspforce.service.wire.control_records import StreamSetup
 from graspforce.service.wire.stream_state import StreamState
 
-Warn: TypeAlias = Callable[[Array, Array, Array], tuple[str, ...]]  # `CompiledControlLaw.warnings`
+Warn: TypeAlias = Callable[[Array, Array, Array], tuple[str, ...]]  # `StepWarnings.of_step`
 
 
 class ExactControl:
@@ -35,12 +35,7 @@ class ExactControl:
         law_type: type of the control law.
     """
 
-    def __init__(
-        self,
-        setup: StreamSetup,
-        changes: Executor | None = None,
-        law_type: type[ObjectControlLaw] = CompiledControlLaw,
-    ) -> None:
+    def __init__(self, setup: StreamSetup, changes: Executor | None, law_type: type[ObjectControlLaw]) -> None:
         self._control = GraspControl.start(setup.grasp, setup.settings, setup.memory, law_type)
         self._hand = setup.grasp.hand
         self._has_drive = not self._hand.drives.is_ideal
@@ -71,7 +66,7 @@ class ExactControl:
         if not (self._is_plain and isinstance(law, CompiledControlLaw)):
             return None
         step = law.usual_step(memory)
-        return None if step is None else (step, law.warnings, memory)
+        return None if step is None else (step, law.warnings.of_step, memory)
 
     def resume(self, memory: ControlMemory) -> None:
         """Continue from the memory of a step that was taken elsewhere.

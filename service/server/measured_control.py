@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from concurrent.futures import Executor
 
-from graspforce.control.compiled_control_law import CompiledControlLaw
 from graspforce.control.feedback_control import FeedbackControl
 from graspforce.control.object_control_law import ObjectControlLaw
 from graspforce.control.output_feedback_law import OutputFeedbackLaw
@@ -30,12 +29,7 @@ class MeasuredControl:
         law_type: type of the control law.
     """
 
-    def __init__(
-        self,
-        setup: StreamSetup,
-        changes: Executor | None = None,
-        law_type: type[ObjectControlLaw] = CompiledControlLaw,
-    ) -> None:
+    def __init__(self, setup: StreamSetup, changes: Executor | None, law_type: type[ObjectControlLaw]) -> None:
         law = OutputFeedbackLaw(setup.grasp, setup.settings, setup.sensors, law_type=law_type)
         self._control = FeedbackControl.start(law, setup.memory, setup.offset)
         self._hand = setup.grasp.hand

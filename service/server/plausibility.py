@@ -19,7 +19,7 @@ jump: the estimator weighs them.
 from __future__ import annotations
 
 import math
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -45,7 +45,6 @@ _LASTING = 0.05  # s, after which a jump is accepted
 _TRUE_BYTE = b"\1"  # NumPy's True in memory
 _SAMPLES = 256  # postures from which the reach is computed
 _REACH_FACTOR = 1.1  # for the postures between them
-_OBJECT_NUMBERS = 18  # position, rotation and twist of the object
 
 
 class Implausible(InvalidInput):
@@ -215,14 +214,12 @@ def _stack(state: GraspState | Measurement) -> Array:
         if isinstance(shared, np.ndarray) and motion.twist.base is shared and STACKED_NUMBERS in (shared.dtype.names or ()):
             return np.asarray(shared[STACKED_NUMBERS])  # of the wire: all in one block
         return np.concatenate((state.q, state.v, motion.p_HO, motion.R_HO.ravel(), motion.twist))
-    n = len(state.q)
-    if state.v is None and state.object is None:
-        return np.concatenate((state.q, _unknown(n + _OBJECT_NUMBERS)))
+    v = _unknown(len(state.q)) if state.v is None else state.v
     position = _unknown(3) if state.object is None else state.object.p_HO
-    return np.concatenate((state.q, _unknown(n) if state.v is None else state.v, position, _unknown(_OBJECT_NUMBERS - 3)))
+    return np.concatenate((state.q, v, position, _unknown(15)))
 
 
-@lru_cache(maxsize=64)
+@cache
 def _unknown(count: int) -> Array:
     """Return NaN for numbers that are not measured."""
     return freeze(np.full(count, math.nan))

@@ -73,7 +73,7 @@ class ServerStream:
         owner: session of the client that opened it.
         proof: proofs of its client in the request that opened it. Repeated, they prove the opening if its answer got lost.
         changes: runs the preparations of contact changes; None for a thread of the server.
-        law_type: control law of a grasp. Results of laws are equal to the accuracy of the force solver.
+        law_type: type of the control law of a grasp. Both give the same results, to the accuracy of the force solver.
     """
 
     def __init__(

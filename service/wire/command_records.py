@@ -23,11 +23,10 @@ from graspforce.core.printable import escape_controls
 from graspforce.force.solution import Solution
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.collision import LinkGap
+from graspforce.service.wire import protocol
 from graspforce.service.wire.change_records import ContactChangeRecord
 from graspforce.service.wire.estimate_record import EstimateRecord
 from graspforce.service.wire.memory_records import ControlMemoryRecord, WireMatrix, WireVector, to_array
-
-_FLOAT_BYTES = 8  # bytes of a float64
 
 
 class ReceivedCommand(Protocol):
@@ -366,7 +365,7 @@ class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=Tr
         binary = type(self.force) is bytes
         if binary and not {bytes}.issuperset(map(type, (*parts, self.uncontrollable))):
             raise ValueError("either all arrays are binary, or none")
-        unit, measure = (_FLOAT_BYTES, len) if binary else (1, np.size)
+        unit, measure = (protocol.FLOAT_BYTES, len) if binary else (1, np.size)
         sizes = _part_sizes(
             grasp.hand.n, grasp.contacts.size, len(grasp.contacts), memory.force is not None, tips is not None, unit
         )

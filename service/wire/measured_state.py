@@ -1,7 +1,7 @@
 """Measurements in typed structs, and their fast reading.
 
-The numbers of a state are joined and checked as those of an exact state. Such a block has a motion of the object: a measured
-pose takes its place, or without one, an object that rests at the origin.
+The numbers are joined and checked as those of an exact state, whose block has a motion of the object. A measured pose takes its
+place; without one, the object rests at the origin.
 """
 
 from __future__ import annotations
@@ -10,21 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from graspforce.contact.motion import BodyMotion
-from graspforce.control import DesiredMotion, GraspMotion
+from graspforce.control import DesiredMotion
 from graspforce.core.arrays import Array
 from graspforce.core.records import unchecked_constructor
 from graspforce.estimation.measurement import LARGEST_TIME, Measurement, PoseMeasurement
-from graspforce.service.wire.state_block import Extra, block_layout, join_state
+from graspforce.service.wire import protocol
+from graspforce.service.wire.state_block import Extra, read_block, view_desired
 from graspforce.service.wire.state_structs import MeasurementStruct, MotionStruct, PoseStruct
 
-_FLOAT_BYTES = 8  # bytes of a float64
 _ORIGIN, _AXES, _NO_TWIST = np.zeros(3).tobytes(), np.eye(3).tobytes(), np.zeros(6).tobytes()
 _NOT_MEASURED = dict.fromkeys(("tau", "current", "tip_wrench", "contact_points"))
 
 _make_measurement = unchecked_constructor(Measurement)
-_make_motion = unchecked_constructor(BodyMotion)
-_make_grasp_motion = unchecked_constructor(GraspMotion)
 
 
 def read_measured(
@@ -44,26 +41,18 @@ def read_measured(
     """
     if not abs(measured.t) <= LARGEST_TIME:
         raise ValueError("a time is out of range")
-    joints, pose, velocity = motion.joints, measured.object, measured.velocity
-    sizes = n, joints is not None, external is not None
+    pose, velocity = measured.object, measured.velocity
     extra, further = _further_parts(measured, n)
-    parts = (
-        *(measured.posture, bytes(_FLOAT_BYTES * n) if velocity is None else velocity),
-        *((_ORIGIN, _AXES) if pose is None else (pose.position, pose.rotation)),
-        *(_NO_TWIST, motion.position, motion.rotation, motion.twist, motion.acceleration),
-        *(() if joints is None else (joints.posture, joints.velocity, joints.acceleration)),
-        *(() if external is None else (external,)),
-        *further,
+    now = (
+        *(measured.posture, bytes(protocol.FLOAT_BYTES * n) if velocity is None else velocity),
+        *(*((_ORIGIN, _AXES) if pose is None else (pose.position, pose.rotation)), _NO_TWIST),
     )
-    block = np.ndarray((), block_layout(*sizes, extra), join_state(parts, *sizes, extra))
-    desired: DesiredMotion = _make_motion(block["p_d"], block["R_d"], block["twist_d"], block["acceleration_d"])
-    if joints is not None:
-        desired = _make_grasp_motion(desired, block["q_d"], block["v_d"], block["a_d"])
+    block = read_block(now, motion, external, n, extra, further)
     found = {name: block[name] for name, _ in extra}
     body = None if pose is None else PoseMeasurement(pose.t, block["p_HO"], block["R_HO"], found.pop("covariance", None))
     v = None if velocity is None else block["v"]
     given = _make_measurement(t=measured.t, q=block["q"], v=v, object=body, **{**_NOT_MEASURED, **found})
-    return given, desired, None if external is None else block["external"]
+    return given, *view_desired(block, motion.joints is not None, external is not None)
 
 
 def write_measurement(measured: Measurement) -> MeasurementStruct[bytes, bytes]:
@@ -99,7 +88,7 @@ def _further_parts(measured: MeasurementStruct[Any, Any], n: int) -> tuple[Extra
     rows = {}
     for name, given, width in (("tip_wrench", wrenches, 6), ("contact_points", points, 3)):
         if given is not None:
-            rows[name] = len(given) // (_FLOAT_BYTES * width) if type(given) is bytes else len(given)
+            rows[name] = len(given) // (protocol.FLOAT_BYTES * width) if type(given) is bytes else len(given)
             shapes.append((name, (rows[name], width)))
             parts.append(given)
     if len(set(rows.values())) > 1:

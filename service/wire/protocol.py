@@ -32,6 +32,9 @@ MSGPACK = "application/msgpack"
 REFUSAL_CODES = ("too_large", "overloaded", "deadline", "closing", "forbidden")  # the server did no work
 ERROR_CODES = ("invalid", "implausible", "unknown", "internal")
 CLOSING_MESSAGE = "the server is closing: send the request to another one"
+FLOAT_BYTES = 8
+"""Bytes of a number of a binary array: float64, little-endian."""
+
 LARGEST_SEQUENCE = 2**63 - 1
 SAMPLE_RATE = 60  # 1/s, at most: sampled states and commands of a stream
 SAMPLED = f"sampled/{SAMPLE_RATE}_hz"

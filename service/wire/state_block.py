@@ -11,41 +11,92 @@ from typing import Any
 
 import numpy as np
 
+from graspforce.contact.motion import BodyMotion
+from graspforce.control import DesiredMotion, GraspMotion
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
-from graspforce.core.compiled import native
+from graspforce.core.compiled import Block, native
 from graspforce.core.constants import LARGEST_DISTANCE
+from graspforce.core.records import unchecked_constructor
+from graspforce.service.wire import protocol
+from graspforce.service.wire.state_structs import MotionStruct
 
 Extra = tuple[tuple[str, tuple[int, ...]], ...]
 """Names and shapes of the arrays of a state beyond those of an exact one."""
 
-_FLOAT_BYTES = 8  # bytes of a float64
 _LAYOUTS = 64  # kept; clients decide which ones occur
 _OBJECT_NUMBERS = 18  # position, rotation and twist of the object
 STACKED_NUMBERS = "measured"
 """Field of the block of a state: joint positions and rates, and position, rotation and twist of the object."""
 
+_make_motion = unchecked_constructor(BodyMotion)
+_make_grasp_motion = unchecked_constructor(GraspMotion)
 
-def join_state(parts: tuple[Any, ...], n: int, joints: bool, external: bool, extra: Extra = ()) -> bytes:
-    """Return the checked numbers of a state.
+
+def read_block(
+    now: tuple[Any, ...],
+    motion: MotionStruct[Any, Any],
+    external: Any,
+    n: int,
+    extra: Extra = (),
+    further: tuple[Any, ...] = (),
+) -> Block:
+    """Return the checked block of a state. An array of the wire is bytes of float64, or a list, of rows for a matrix.
 
     Args:
-        parts: the arrays in the order of `block_layout`: each bytes of float64, or a list, of rows for a matrix.
-        n: as in `block_layout`.
-        joints: as in `block_layout`.
-        external: as in `block_layout`.
+        now: positions and rates of the joints, and position, rotation and twist of the object.
+        motion: the desired motion.
+        external: the external wrench, or None.
+        n: number of joints of the hand.
         extra: as in `block_layout`.
+        further: the arrays of `extra`.
 
     Raises:
         ValueError: a shape or a rotation is wrong, or a number is not finite or may be out of range.
         TypeError: a number is no float.
     """
+    joints = motion.joints
+    parts = (
+        *(*now, motion.position, motion.rotation, motion.twist, motion.acceleration),
+        *(() if joints is None else (joints.posture, joints.velocity, joints.acceleration)),
+        *(() if external is None else (external,)),
+        *further,
+    )
+    sizes = n, joints is not None, external is not None, extra
     join = _join_parts if native is None else native.join_stream_state
-    numbers: bytes | None = join(parts, _part_shapes(n, joints, external, extra), n)
+    numbers: bytes | None = join(parts, _part_shapes(*sizes), n)
     if numbers is None:
         raise ValueError("a number is not finite, or an array has the wrong shape")
     check_usual(numbers)
-    return numbers
+    return view_block(numbers, *sizes)
+
+
+def view_block(numbers: bytes, n: int, joints: bool, external: bool, extra: Extra = ()) -> Block:
+    """Return the numbers of a state as a block.
+
+    Args:
+        numbers: bytes of the numbers.
+        n: as in `block_layout`.
+        joints: as in `block_layout`.
+        external: as in `block_layout`.
+        extra: as in `block_layout`.
+    """
+    block: Block = np.ndarray((), block_layout(n, joints, external, extra), numbers)
+    return block
+
+
+def view_desired(block: Block, joints: bool, external: bool) -> tuple[DesiredMotion, Array | None]:
+    """Return the desired motion and the external wrench of a block; None for no wrench.
+
+    Args:
+        block: the block of a state.
+        joints: as in `block_layout`.
+        external: as in `block_layout`.
+    """
+    desired: DesiredMotion = _make_motion(block["p_d"], block["R_d"], block["twist_d"], block["acceleration_d"])
+    if joints:
+        desired = _make_grasp_motion(desired, block["q_d"], block["v_d"], block["a_d"])
+    return desired, block["external"] if external else None
 
 
 def check_usual(numbers: bytes) -> None:
@@ -58,7 +109,7 @@ def check_usual(numbers: bytes) -> None:
         ValueError: a number may be out of range.
     """
     if native is not None:
-        is_usual = native.is_plausible_state(numbers, None, 0.0, usual_range(len(numbers) // 8))
+        is_usual = native.is_plausible_state(numbers, None, 0.0, usual_range(len(numbers) // protocol.FLOAT_BYTES))
     else:
         is_usual = np.abs(np.frombuffer(numbers)).max() <= LARGEST_DISTANCE
     if not is_usual:
@@ -102,7 +153,7 @@ def block_layout(n: int, joints: bool, external: bool, extra: Extra = ()) -> np.
         extra: further arrays at its end.
     """
     given = _block_fields(n, joints, external, extra)
-    sizes = [_FLOAT_BYTES * math.prod(shape) for _, shape in given]
+    sizes = [protocol.FLOAT_BYTES * math.prod(shape) for _, shape in given]
     return np.dtype(
         {
             "names": [STACKED_NUMBERS, *(name for name, _ in given)],
@@ -141,6 +192,6 @@ def _to_bytes(values: Any, shape: tuple[int, int]) -> bytes:
         if numbers.shape not in (shape, shape[1:]) or (numbers.ndim == 2 and shape[0] == 1):
             raise ValueError("an array has the wrong shape")
         joined = numbers.tobytes()
-    if len(joined) != _FLOAT_BYTES * math.prod(shape):
+    if len(joined) != protocol.FLOAT_BYTES * math.prod(shape):
         raise ValueError("an array has the wrong size")
     return joined

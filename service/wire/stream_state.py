@@ -21,7 +21,7 @@ from graspforce.control import DesiredMotion, GraspMotion, GraspState, desired_f
 from graspforce.control.contacts.contact_conditions import ContactConditions
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
-from graspforce.core.compiled import native
+from graspforce.core.compiled import Block, native
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import unchecked_constructor
@@ -31,7 +31,7 @@ from graspforce.service.wire import protocol
 from graspforce.service.wire.change_records import NumberedChange
 from graspforce.service.wire.control_records import read_external
 from graspforce.service.wire.measured_state import read_measured, write_measurement
-from graspforce.service.wire.state_block import block_layout, check_usual, join_state
+from graspforce.service.wire.state_block import check_usual, read_block, view_block, view_desired
 from graspforce.service.wire.state_structs import (
     STATE_DECODERS,
     GraspStateStruct,
@@ -42,7 +42,6 @@ from graspforce.service.wire.state_structs import (
 )
 
 _ZEROS = arrays.freeze(np.zeros(6))
-_FLOAT_BYTES = 8  # bytes of a float64
 # Shapes of binary matrices by name; other binary arrays are vectors.
 _MATRIX_SHAPES = {"rotation": (3, 3), "covariance": (6, 6), "tip_wrenches": (-1, 6), "contact_points": (-1, 3)}
 
@@ -156,11 +155,10 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
 
 _make_motion = unchecked_constructor(BodyMotion)
 _make_grasp_state = unchecked_constructor(GraspState)
-_make_grasp_motion = unchecked_constructor(GraspMotion)
 
 
 def _decode_fast(payload: bytes, codec: str, hand: Hand) -> StreamState:
-    """Return a state whose arrays are views of one block, whose numbers are checked once.
+    """Return a state. Its arrays are views of one block, and all numbers are checked together.
 
     Raises:
         ValueError: a number, a shape or a rotation is wrong.
@@ -171,9 +169,9 @@ def _decode_fast(payload: bytes, codec: str, hand: Hand) -> StreamState:
         if found is not None:
             sequence, time, flags, numbers = found
             check_usual(numbers)
-            binary, has_joints = bool(flags & native.STATE_BINARY), bool(flags & native.STATE_JOINTS)
-            state, desired, wrench = _view_block(hand.n, has_joints, bool(flags & native.STATE_EXTERNAL), numbers)
-            return StreamState(sequence, time, state, desired, wrench, None, binary)
+            parts = bool(flags & native.STATE_JOINTS), bool(flags & native.STATE_EXTERNAL)
+            block, binary = view_block(numbers, hand.n, *parts), bool(flags & native.STATE_BINARY)
+            return StreamState(sequence, time, _view_exact(block), *view_desired(block, *parts), None, binary)
     return _state_of(STATE_DECODERS[codec].decode(payload), hand)
 
 
@@ -200,25 +198,15 @@ def _read_exact(
     measured: GraspStateStruct[Any, Any], motion: MotionStruct[Any, Any], external: Any, n: int
 ) -> tuple[GraspState, DesiredMotion, Array | None]:
     """Return the exact state, the desired motion and the external wrench of a state. Raises as `_decode_fast`."""
-    pose, joints = measured.object, motion.joints
-    parts = (
-        *(measured.posture, measured.velocity, pose.position, pose.rotation, pose.twist),
-        *(motion.position, motion.rotation, motion.twist, motion.acceleration),
-        *(() if joints is None else (joints.posture, joints.velocity, joints.acceleration)),
-        *(() if external is None else (external,)),
-    )
-    sizes = n, joints is not None, external is not None
-    return _view_block(*sizes, join_state(parts, *sizes))
+    pose = measured.object
+    now = measured.posture, measured.velocity, pose.position, pose.rotation, pose.twist
+    block = read_block(now, motion, external, n)
+    return _view_exact(block), *view_desired(block, motion.joints is not None, external is not None)
 
 
-def _view_block(n: int, has_joints: bool, has_external: bool, numbers: bytes) -> tuple[GraspState, DesiredMotion, Array | None]:
-    """Return the state, the desired motion and the external wrench of checked numbers."""
-    block = np.ndarray((), block_layout(n, has_joints, has_external), numbers)
-    now = _make_motion(block["p_HO"], block["R_HO"], block["twist"], _ZEROS)
-    desired: DesiredMotion = _make_motion(block["p_d"], block["R_d"], block["twist_d"], block["acceleration_d"])
-    if has_joints:
-        desired = _make_grasp_motion(desired, block["q_d"], block["v_d"], block["a_d"])
-    return _make_grasp_state(block["q"], block["v"], now), desired, block["external"] if has_external else None
+def _view_exact(block: Block) -> GraspState:
+    """Return the exact state of a block."""
+    return _make_grasp_state(block["q"], block["v"], _make_motion(block["p_HO"], block["R_HO"], block["twist"], _ZEROS))
 
 
 def _read_conditions(record: object) -> tuple[ContactConditions | None, tuple[str, ...] | None]:
@@ -280,7 +268,7 @@ def to_lists(value: Any, name: str = "") -> Any:
         return {name: to_lists(item, name) for name, item in value.items()}
     if isinstance(value, list) and value and isinstance(value[0], Mapping):
         return [to_lists(item) for item in value]
-    if not isinstance(value, bytes) or len(value) % _FLOAT_BYTES:
+    if not isinstance(value, bytes) or len(value) % protocol.FLOAT_BYTES:
         return value
     numbers, shape = np.frombuffer(value), _MATRIX_SHAPES.get(name, (-1,))
     fits = numbers.size % shape[-1] == 0 if shape[0] < 0 else numbers.size == math.prod(shape)

@@ -202,8 +202,8 @@ def _check_flags(flags: Sequence[bool] | Mask | None, name: str) -> Mask | None:
         return None
     try:
         checked = np.array(flags)
-    except (ValueError, OverflowError):  # ragged lists
-        raise InvalidInput(name, flags, "a list of booleans, one for each contact") from None
+    except ValueError:  # ragged lists
+        checked = np.zeros(())
     if checked.dtype != np.bool_ or checked.ndim != 1:
         raise InvalidInput(name, flags, "a list of booleans, one for each contact")
     checked.setflags(write=False)
